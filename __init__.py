@@ -3,7 +3,7 @@
     import jrdb_avr as avr
     avr.load("jrdb/train_dataset_with_activity", "store")
     avr.generate("store")
-    avr.evaluate("store", "react", "marker", avr.EvaluateOptions(selection=avr.QuestionSelection(limit=20)))
+    avr.evaluate("store", "react", "simulated", avr.EvaluateOptions(selection=avr.QuestionSelection(limit=20)))
     avr.report("store")
 
 In a script, put these lines under `if __name__ == "__main__":`, because worker processes import the script. The

@@ -245,19 +245,23 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     to the model.
     """
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
-    panoramas = [
-        Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
-        for n in range(1, PANORAMAS + 1)
-        for box in [Box(1500, 130, 180, 240) if n == 5 else None]
-    ]
+    boxes = [Box(1500, 130, 180, 240) if n == 5 else None for n in range(1, PANORAMAS + 1)]
+    drawn = [drawn_picture(PANORAMA_SIZE, box) for box in boxes]
+    panoramas = [Panorama("drawn", n, f"{n:06d}", float(n), picture.data) for n, picture in enumerate(drawn, 1)]
+    pictures = iter(drawn)
     content = f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)"
-    parts = [render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE]
-    probe = send(*parts, schema=world_schema(question, (), looks=True, advised=True))
+    shown = (part if isinstance(part, str) else next(pictures) for part in panorama_parts(panoramas))
+    probe = send(
+        render("preflight_panoramas", n=PANORAMAS),
+        *shown,
+        PANORAMA_LINE,
+        schema=world_schema(question, (), looks=True, advised=True),
+    )
     calls = probe.value.get("calls")
     last = calls[-1] if isinstance(calls, list) and calls else None
     yield _largest_request("panoramas", content, probe, isinstance(last, dict) and last.get("answer") == 5)
     content = f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)"
-    parts = [render("preflight_crops", n=CROPS)]
+    parts: list[Part] = [render("preflight_crops", n=CROPS)]
     for n in range(1, CROPS + 1):
         box = CORNERS["upper left"] if n == 14 else None
         parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]

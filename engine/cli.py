@@ -36,7 +36,6 @@ COMMANDS: Final[dict[str, str]] = {
     "evaluate": "Let a method answer the questions.",
     "mcp": "Serve the questions to an MCP agent.",
     "play": "Let a person answer the questions in the browser.",
-    "world": "Add world models of runs to the graph, or drop them.",
     "runs": "List, show, compare, merge or remove runs.",
     "score": "Score the predictions of runs.",
     "report": "Compare the scores of runs in tables.",

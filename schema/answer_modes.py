@@ -116,6 +116,18 @@ class Mode:
         struct: Callable[..., Answer] = self.type
         return struct(*fields)
 
+    def written(self, answer: Answer) -> Any:
+        """Return an answer of this mode in the form of a model's reply."""
+        texts = {
+            "choice": int,
+            "frame": "{:06d}".format,
+            "angle": lambda angle: round(angle, 1),
+            "decimal": "{:g}".format,
+        }
+        values = [getattr(answer, name) for name, _ in self.fields]
+        parts = {part.key: texts[part.kind](value) for part, value in zip(self.parts, values, strict=True)}
+        return next(iter(parts.values())) if self.is_choice else parts
+
     def make(self, frames: Sequence[int], angle_deg: float, value: float = 1.0) -> Answer:
         """Return an answer of this mode. Values that an answer of this mode does not contain are ignored.
 

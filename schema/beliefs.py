@@ -1,23 +1,23 @@
-"""Tables of an agent's world model in the graph: the agent's observations, and its beliefs about what it saw.
+"""Tables of an agent's world model in the graph: the agent's looks, and what it read in them.
 
-Every row belongs to one episode, which is one question of one run. An *entity* is a person or thing that the agent
-named. A *belief* is an edge that begins at an entity and refers to one observation of the same episode. There are three
-kinds of beliefs. A sighting (`Sighted`) or an attribute (`Has`) ends at the observation. A relation (`Related`) ends at
-another entity, and its column `observation` has the key of the observation.
+Every row belongs to one episode, which is one question of one run. An *entity* is a person that the agent named. The
+tables are append-only: a write adds rows and changes none. So what was known after step k are the rows with
+`step <= k`.
 
-A belief holds at the frame of its observation (`first` = `last`). Gender and age hold at every frame (0 to `ALWAYS`). A
-belief stays in the graph if a later write replaces it: `current` becomes false, and `until` becomes the step of that
-write. So an edge was believed at step k if `step <= k AND until > k`. If several readings of one attribute are
-combined, each reading is an edge, and `current` marks the edge with the result. A reading that the result contradicts
-was never believed, so its `until` equals its `step`.
+A *reading* is an edge that begins at an entity. `Sighted` (a box) and `Has` (an attribute) end at the look that shows
+it. `Related` (a relation) ends at another entity, and its column `look` has the key of the look. `weight` is the
+log-odds that the reading gives: positive if the value was affirmed, negative if it was denied. The weight of a further
+reading of a topic in the same frame is smaller (`schema.repeats`).
 
-The nodes have these keys: an `Episode` has `<run>/<question>`. An `Observation` has `<episode>/o<number>`. An `Entity`
-has `<episode>/<name>`, with a name that the agent chose. A `Slot` or a `Write` has `<episode>/<number>`. A `Hypothesis`
-has `<episode>/h<rank>`.
+An edge with `origin` "derived" holds what follows from boxes and from several readings, such as the sector of a person.
+Its weight is the change against the sum of the edges before it. So a sum of weights is what is known at a step.
 
-`Observation` and `Entity` also have a hash of the episode's key, and edges of beliefs have the names of the entities at
-both ends. The reads and writes of an agent use this hash and these names to find the edges of the agent's episode.
-Otherwise, the engine would spend half of its work on edges of other episodes.
+The nodes have these keys: an `Episode` has `<run>/<question>`. A `Look` has `<episode>/o<number>`. An `Entity` has
+`<episode>/<name>`, with a name that the agent chose. A `Slot` or a `Write` has `<episode>/<number>`. A `Hypothesis` has
+`<episode>/h<rank>`.
+
+`Look`, `Entity` and `Slot` also have a hash of the episode's key. Reads and writes of an agent find the rows of the
+agent's episode by this hash, because the engine compares it faster than the key.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ import msgspec
 from jrdb_avr.schema.panorama import Box
 
 ALWAYS: Final = 10_000_000
-"""Value of the column `last` if a belief holds at every frame, and of the column `until` if a belief is current."""
+"""Frame that stands for the end of time."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
 
 
 def free_value(text: str) -> str:
-    """Return the value of a free attribute in the form that beliefs and plans compare: lower case, with single blanks.
+    """Return the value of a free attribute in the form that readings and plans compare: lower case, single blanks.
 
     >>> free_value("Dark  Red")
     'dark red'
@@ -47,10 +47,24 @@ def free_value(text: str) -> str:
     return " ".join(text.lower().split())
 
 
-Origin = Literal["model", "derived"]
-"""Origin of a belief. model: a model read it from a picture. derived: code computed it from earlier readings."""
+Origin = Literal["model", "relation", "derived"]
+"""Origin of an edge.
 
-Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
+model: a model read it from a picture. relation: an affirmed relation says it of both people. derived: code computed it
+from readings.
+"""
+
+Tool = Literal[
+    "begin",
+    "plan",
+    "observe",
+    "get_graph",
+    "add_people",
+    "add_entity",
+    "add_attribute",
+    "add_relation",
+    "final_answer",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +82,7 @@ class Write:
         arguments: Arguments of the tool, as JSON.
         accepted: Whether the world model accepted the write.
         reason: Reason of the refusal, "" if the write was accepted.
-        fact: JSON of a `Fact`, which contains the rows that the write added or changed. "" if there are no such rows.
+        fact: JSON of a `Fact`, which contains the rows that the write added. "" if there are no such rows.
     """
 
     number: int
@@ -92,16 +106,12 @@ class EpisodeRow(_Row, frozen=True):
         run: Id of the run.
         question: Id of the question.
         sequence: Name of the sequence.
-        plan: Plan as JSON, "" until a plan is accepted.
-        verdict: How well the world model supports the answer, "" until the episode has an answer.
     """
 
     id: str
     run: str
     question: str
     sequence: str
-    plan: str
-    verdict: str
 
 
 class _NodeRow(_Row, frozen=True):
@@ -109,17 +119,16 @@ class _NodeRow(_Row, frozen=True):
 
     id: str
     episode: str
+    number: int
 
 
-class ObservationRow(_NodeRow, frozen=True):
-    """Row of `Observation`, without the column `episode_hash`.
+class LookRow(_NodeRow, frozen=True):
+    """Row of `Look`, without the column `episode_hash`.
 
-    The edge `Made` from the episode to the observation is written together with the row. A crop covers the columns
-    [left, left + width) of the panorama, which continue at column 0 after column 3759. A whole panorama covers all 3760
-    columns.
+    The edge `Made` from the episode to the look is written together with the row. A crop covers the columns [left, left
+    + width) of the panorama, which continue at column 0 after column 3759. A panorama covers all 3760 columns.
     """
 
-    number: int
     step: int
     frame: int
     angle: float
@@ -130,72 +139,89 @@ class ObservationRow(_NodeRow, frozen=True):
 class EntityRow(_NodeRow, frozen=True):
     """Row of `Entity`, without the column `episode_hash`.
 
-    The edge `Holds` from the episode to the entity is written together with the row. A later write may change the
-    columns `kind` and `node`, but no other column.
+    The edge `Holds` from the episode to the entity is written together with the row.
     """
 
     name: str
-    number: int
-    kind: str
-    node: str
     step: int
 
 
-class SlotRow(_NodeRow, frozen=True):
-    """Row of `Slot`, which is one part of the agent's plan.
+SlotKind = Literal["entity", "condition", "edge", "presence"]
+"""Kind of a slot.
 
-    The edge `Asks` from the episode to the slot is written together with the row. A part is a node (a person to find),
-    a condition on a node, an edge between two nodes, or the read (the value that answers the question). The column
-    `kind` says which of these four the part is. A text column that does not apply to the kind is "". The column `frame`
-    is -1 if the part has no stated time.
+entity: all entities fill it. presence: the person of a node is visible at a frame that the plan states.
+"""
+
+
+class SlotRow(_NodeRow, frozen=True):
+    """Row of `Slot`, which is one part of the agent's plan, without the column `episode_hash`.
+
+    The edge `Asks` from the episode to the slot is written together with the row. A text column that does not apply to
+    the kind is "". The column `frame` is -1 if the part holds at any frame.
+
+    Attributes:
+        number: Index of the slot in its episode.
+        kind: Kind of the slot.
+        node: Node of the plan. The source of an edge.
+        other: Target of an edge.
+        name: Attribute or relation.
+        value: Value of the attribute.
+        topic: Topic of the `Has` edges that are evidence.
+        origin: Origin of the edges that are evidence.
+        also: Other values that the value may be called, joined by "|". Readings of them are no evidence against.
+        frame: Stated frame.
+        often: Prior probability that the part holds for a person or a pair.
     """
 
-    number: int
-    kind: str
+    kind: SlotKind
     node: str
     other: str
     name: str
     value: str
+    topic: str
+    origin: Origin
+    also: str
     frame: int
+    often: float
 
 
 class HypothesisRow(_NodeRow, frozen=True):
-    """Row of `Hypothesis`, which is one assignment of entities to the nodes of the plan.
+    """Row of `Hypothesis`, which is one binding of the plan's nodes.
 
-    The edge `Ranks` from the episode to the hypothesis is written together with the row. The hypotheses are written
-    when the episode gets its answer.
+    The edge `Ranks` from the episode to the hypothesis is written together with the row, at the end of the episode.
 
     Attributes:
-        step: Index of the model call after which the hypothesis was written.
-        rank: Rank by likelihood. The episode's answer is the answer of rank 1, the likeliest hypothesis.
-        entity: Name of the entity that is assigned to the target of the question.
-        nodes: Assignment as text, such as "a=p1, b=p2".
-        log_odds: Log-odds of the hypothesis.
-        answer: Answer that was read from the target at `frame`, as stored JSON.
-        frame: Frame of the reading that gave the answer.
+        number: Rank by log-odds, from 1. The answer is about the target of rank 1 or of one nearly as likely.
+        step: Index of the model call after which the binding was written.
+        entity: Entity of the plan's target.
+        nodes: Binding as text, such as "a=p1, b=p2".
+        log_odds: Summed log-odds.
+        margin: Log-odds over the best binding with another target.
+        answer: Stored JSON of the answer, "" if the answer is about another entity.
+        verdict: Verdict of the answer, "" if the answer is about another entity.
+        frame: Frame of the evidence, -1 if the answer is about another entity.
     """
 
     step: int
-    rank: int
     entity: str
     nodes: str
     log_odds: float
+    margin: float
     answer: str
+    verdict: str
     frame: int
 
 
 class _EdgeRow(_Row, frozen=True):
-    """Row of an edge that states a belief.
+    """Row of an edge.
 
     Attributes:
         source: Key of the node at the start of the edge.
         target: Key of the node at the end of the edge.
         episode: Key of the episode.
-        write: Index, in the episode, of the write that added the edge. Each write adds at most one edge.
+        write: Index, in the episode, of the write that added the edge.
         step: Index of the model call that made the write.
-        votes: Number of readings that agreed with the edge when the write was made.
-        against: Number of readings that disagreed with the edge when the write was made.
-        origin: Origin of the belief.
+        frame: Frame of the look. The frame of the slot if the edge is derived.
     """
 
     source: str
@@ -203,76 +229,100 @@ class _EdgeRow(_Row, frozen=True):
     episode: str
     write: int
     step: int
-    votes: int
-    against: int
-    origin: str
+    frame: int
+
+
+class ListedRow(_EdgeRow, frozen=True):
+    """Row of `Listed`: the agent has listed the people of a look. The edge leads from the episode to the look."""
 
 
 class SightingRow(_EdgeRow, frozen=True):
     """Row of `Sighted`.
 
-    `box` is the box that the agent gave. `angle` is the panorama angle of the centre of `box`, in degrees.
+    Attributes:
+        box: Box in stitched pixels.
+        angle: Panorama angle of the centre of the box, in degrees.
+        whole: Whether no edge of the look cuts the box.
+        metres: Distance in metres as the model read it, -1 without a reading.
     """
 
-    frame: int
     box: Box
     angle: float
+    whole: bool
+    metres: float
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """Row of `Has`. `value` is the attribute's value as text. `number` is the value if it is a number, otherwise 0."""
+    """Row of `Has`.
 
+    Attributes:
+        topic: Question that the value answers, such as "pose" or "action reading".
+        name: Attribute.
+        value: Value.
+        weight: Log-odds that the edge adds for the value.
+        exclusive: Whether an affirmed value excludes the other values of its topic.
+        origin: Origin of the edge.
+    """
+
+    topic: str
     name: str
     value: str
-    number: float
-    first: int
-    last: int
+    weight: float
+    exclusive: bool
+    origin: Origin
 
 
 class RelationRow(_EdgeRow, frozen=True):
-    """Row of `Related`. `observation` is the key of the observation that showed the relation."""
+    """Row of `Related`.
+
+    Attributes:
+        name: Relation.
+        weight: Log-odds that the edge adds for the relation.
+        look: Key of the look that shows the relation.
+        origin: Origin of the edge.
+    """
 
     name: str
-    observation: str
-    first: int
-    last: int
+    weight: float
+    look: str
+    origin: Origin
 
 
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """Rows that one write adds to the world tables or changes there.
-
-    In a new edge, the column `current` is true, and the column `until` is `ALWAYS`.
+    """Rows that one write adds to the world tables.
 
     Attributes:
-        episode: New or changed episode. The tool `begin` creates the episode, `plan` adds the plan, and `final_answer`
-            adds the verdict.
+        episode: New episode, which the tool `begin` creates.
         slots: Parts of an accepted plan.
-        observation: New observation.
-        entity: New entity.
-        changed: Existing entity with a new kind or a new plan node.
-        freed: Keys of the entities that lose their plan node because another entity takes the node.
-        sighted: New sighting.
-        has: New attribute.
-        related: New relation.
-        replaced: Indexes of writes. The edges that these writes added stop being `current` at the step of this
-            fact's write. The index of this fact's own write may be in the tuple too.
-        hypotheses: Hypotheses at the end of the episode.
+        looks: New looks.
+        entities: New entities.
+        listed: Looks whose people the write lists.
+        sighted: New sightings.
+        has: New attributes.
+        related: New relations.
+        hypotheses: Bindings at the end of the episode.
     """
 
     episode: EpisodeRow | None = None
     slots: tuple[SlotRow, ...] = ()
-    observation: ObservationRow | None = None
-    entity: EntityRow | None = None
-    changed: EntityRow | None = None
-    freed: tuple[str, ...] = ()
-    sighted: SightingRow | None = None
-    has: AttributeRow | None = None
-    related: RelationRow | None = None
-    replaced: tuple[int, ...] = ()
+    looks: tuple[LookRow, ...] = ()
+    entities: tuple[EntityRow, ...] = ()
+    listed: tuple[ListedRow, ...] = ()
+    sighted: tuple[SightingRow, ...] = ()
+    has: tuple[AttributeRow, ...] = ()
+    related: tuple[RelationRow, ...] = ()
     hypotheses: tuple[HypothesisRow, ...] = ()
 
 
-_TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)"}
+_TYPES: Final = {
+    str: "STRING",
+    int: "INT64",
+    float: "DOUBLE",
+    bool: "BOOLEAN",
+    Origin: "STRING",
+    SlotKind: "STRING",
+    Box: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
+}
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
@@ -284,15 +334,13 @@ def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
     return (*(column for column in fields if column.split()[0] not in ("source", "target")), *more)
 
 
-_CURRENT: Final = ("current BOOLEAN", "until INT64")
-
 WORLD_NODES: Final[dict[str, str]] = {
     name: ", ".join(columns).replace("id STRING", "id STRING PRIMARY KEY", 1)
     for name, columns in {
         "Episode": _columns(EpisodeRow),
-        "Observation": _columns(ObservationRow, "episode_hash UUID"),
+        "Look": _columns(LookRow, "episode_hash UUID"),
         "Entity": _columns(EntityRow, "episode_hash UUID"),
-        "Slot": _columns(SlotRow),
+        "Slot": _columns(SlotRow, "episode_hash UUID"),
         "Hypothesis": _columns(HypothesisRow),
         "Write": (
             *("id STRING", "episode STRING", "number INT64", "step INT64"),
@@ -302,15 +350,15 @@ WORLD_NODES: Final[dict[str, str]] = {
 }
 
 WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
-    "Made": ("Episode", "Observation", ()),
+    "Made": ("Episode", "Look", ()),
     "Holds": ("Episode", "Entity", ()),
     "Asks": ("Episode", "Slot", ()),
     "Wrote": ("Episode", "Write", ()),
     "Ranks": ("Episode", "Hypothesis", ()),
-    # `who` is the name of the entity at the start of the edge, and `whom` is the name of the entity at the end.
-    "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
-    "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),
-    "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),
+    "Listed": ("Episode", "Look", _columns(ListedRow)),
+    "Sighted": ("Entity", "Look", _columns(SightingRow)),
+    "Has": ("Entity", "Look", _columns(AttributeRow)),
+    "Related": ("Entity", "Entity", _columns(RelationRow)),
 }
 """Relationship tables by name: the table at the start, the table at the end, and columns as texts of name and type."""
 
@@ -326,5 +374,5 @@ def episode_hash(episode: str) -> str:
 
 
 def name_of(key: str) -> str:
-    """Return the name of an entity or an observation. The name is the last part of the node's key."""
+    """Return the name of an entity or a look. The name is the last part of the node's key."""
     return key.rpartition("/")[2]

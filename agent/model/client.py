@@ -160,12 +160,13 @@ class Client:
                 in this time. Also if the server refuses the key, if no credit is left, or if `max_cost` is spent.
         """
         request = self.options.request(self.model, self.convention, schema)
+        simulated = self.options.simulated
         if self._calls is None:
-            return self._send({**request, "messages": wire(messages)})
-        digest = self._calls.digest({**request, "messages": fingerprint(messages)})
+            return self._send({**request, "messages": wire(messages, simulated)})
+        digest = self._calls.digest({**request, "messages": fingerprint(messages, simulated)})
         reply = self._calls.read(digest)
         if reply is None or not self._cacheable(reply):
-            reply = self._send({**request, "messages": wire(messages)})
+            reply = self._send({**request, "messages": wire(messages, simulated)})
             if self._cacheable(reply):
                 self._calls.append(digest, reply)
         self._served.setdefault(reply.model)
@@ -189,7 +190,8 @@ class Client:
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
         """
-        request = {**self.options.request(self.model, self.convention, schema), "messages": wire(messages)}
+        sent = wire(messages, self.options.simulated)
+        request = {**self.options.request(self.model, self.convention, schema), "messages": sent}
         return self._send(request, probe=True)
 
     def server_version(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
@@ -15,6 +15,8 @@ from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image, Observation, Panorama
 
 JPEG_QUALITY: Final = 95
+REFERENCE_KEY: Final = "jrdb_avr"
+"""Key of a picture's reference in the requests of a simulated run. No other request holds it."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +24,12 @@ class Picture:
     """A JPEG picture that is sent inside a request.
 
     name: the text that stands for the picture in a transcript. uri: the data URI. digest: the sha256 of the bytes.
+    reference: what the picture shows. It is sent only to a simulated model, which reads annotations instead of pixels.
     """
 
     name: str
     data: bytes
+    reference: Mapping[str, Any] = field(default_factory=dict, compare=False)
     uri: str = field(init=False, repr=False, compare=False)
     digest: str = field(init=False, repr=False, compare=False)
 
@@ -59,17 +63,20 @@ def picture_of(view: Observation | Panorama) -> Picture:
     Returns:
         The picture.
     """
+    reference = {"sequence": view.sequence, "frame": view.frame_index, "angle": None}
     if isinstance(view, Panorama):
-        return Picture(f"{view.sequence} {view.frame_id} panorama", view.jpeg)
-    return jpeg_picture(f"{view.sequence} {view.frame_id} {view.angle_deg:.12g}", view.image)
+        return Picture(f"{view.sequence} {view.frame_id} panorama", view.jpeg, reference)
+    name = f"{view.sequence} {view.frame_id} {view.angle_deg:.12g}"
+    return jpeg_picture(name, view.image, reference | {"angle": view.angle_deg})
 
 
-def jpeg_picture(name: str, image: Image) -> Picture:
+def jpeg_picture(name: str, image: Image, reference: Mapping[str, Any]) -> Picture:
     """Encode an image as JPEG of quality 95.
 
     Args:
         name: The name of the picture.
         image: The RGB pixels.
+        reference: What the picture shows, as in `Picture`.
 
     Returns:
         The picture.
@@ -83,7 +90,7 @@ def jpeg_picture(name: str, image: Image) -> Picture:
     done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ObserveError(f"the picture {name!r} cannot be written as JPEG")
-    return Picture(name, data.tobytes())
+    return Picture(name, data.tobytes(), reference)
 
 
 def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Message]:
@@ -136,28 +143,30 @@ def metadata_line(view: Observation | Panorama) -> str:
     return msgspec.json.encode(metadata_of(view)).decode()
 
 
-def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:
+def wire(messages: Sequence[Message], simulated: bool = False) -> list[dict[str, Any]]:
     """Return messages in the chat-completions form.
 
     Args:
         messages: A chat.
+        simulated: Whether each picture gets its reference. Only runs that are declared simulated may set it.
 
     Returns:
         The messages, with pictures as data URIs.
     """
-    return [_message(message, lambda picture: picture.uri) for message in messages]
+    return [_message(message, lambda picture: picture.uri, simulated) for message in messages]
 
 
-def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
+def fingerprint(messages: Sequence[Message], simulated: bool = False) -> list[dict[str, Any]]:
     """Return messages in the chat-completions form, ready to be hashed.
 
     Args:
         messages: A chat.
+        simulated: As in `wire`.
 
     Returns:
         The messages, with the sha256 of each picture in place of its bytes.
     """
-    return [_message(message, lambda picture: picture.digest) for message in messages]
+    return [_message(message, lambda picture: picture.digest, simulated) for message in messages]
 
 
 def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
@@ -173,13 +182,14 @@ def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
     return [{"role": message.role, "content": message.text} for message in messages]
 
 
-def _message(message: Message, url: Callable[[Picture], str]) -> dict[str, Any]:
+def _message(message: Message, url: Callable[[Picture], str], simulated: bool) -> dict[str, Any]:
     if all(isinstance(part, str) for part in message.parts):
         return {"role": message.role, "content": message.text}
-    content = [
-        {"type": "text", "text": part}
-        if isinstance(part, str)
-        else {"type": "image_url", "image_url": {"url": url(part)}}
-        for part in message.parts
-    ]
-    return {"role": message.role, "content": content}
+
+    def content(part: Part) -> dict[str, Any]:
+        if isinstance(part, str):
+            return {"type": "text", "text": part}
+        reference = {REFERENCE_KEY: part.reference} if simulated else {}
+        return {"type": "image_url", "image_url": {"url": url(part)}, **reference}
+
+    return {"role": message.role, "content": [content(part) for part in message.parts]}

@@ -40,6 +40,11 @@ class EndpointOptions(Options):
     """
 
     base_url: str | None = option(None, "Address of an OpenAI-compatible server, such as http://localhost:8000/v1.")
+    simulated: bool = option(
+        False,
+        "Declare that the model is simulated: each picture of a request then says which frame and angle it shows. The "
+        "run is synthetic. Models named simulated or simulated:PROFILE need no declaration.",
+    )
     response_format: ResponseFormat = option(
         "json_schema",
         "How requests demand JSON. 'json_schema': by the JSON schema of the reply. 'json_object': by the mode for JSON "

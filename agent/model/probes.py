@@ -1,9 +1,9 @@
 """Drawn pictures that test a server. Their contents are known, and no picture belongs to a question.
 
-Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name.
-Inside the rectangle is a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle
-from the plain shapes around it. People, models and the simulated model can see the mark. The pictures depend only on a
-seed. The simulated model recognizes the prompt of such a picture by the last line of the prompt.
+Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name. A
+black and white grid distinguishes the rectangle from the plain shapes around it. The pictures depend only on a seed.
+The simulated model gets the rectangle as the reference of the picture, and recognizes the prompt of such a picture by
+the last line of the prompt.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from __future__ import annotations
 import functools
 import random
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from jrdb_avr.agent.model.messages import Picture, jpeg_picture
-from jrdb_avr.schema.markers import Mark, MarkImage, draw
+from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
 
 CORNER_LINE: Final = "The corner, as one JSON object:"
@@ -49,6 +49,8 @@ _HEIGHT_PX: Final = (90, 300)
 _DISTRACTORS: Final = 5
 _APART_PX: Final = 6
 _TRIES: Final = 200
+_GRID: Final = 6
+"""Number of the grid's cells along each side."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +84,8 @@ def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
         # Sums of bytes wrap around, so adding a large byte darkens a pixel.
         image += grain.view(np.uint8)
     if box is not None:
-        _marked(image, box, "red", 0)
-    return jpeg_picture(f"drawn {size} {box}", image)
+        _marked(image, box, "red")
+    return jpeg_picture(f"drawn {size} {box}", image, _reference(size, box))
 
 
 def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
@@ -106,8 +108,14 @@ def _drawn(rng: random.Random, index: int, width: int, height: int) -> DrawnPict
     marked, *plain = _free_boxes(rng, width, height, 1 + _DISTRACTORS * (1 if width == height else 3))
     for box in plain:
         _shape(image, box, rng.choice(others), rng.random() < 0.5)
-    _marked(image, marked, color, rng.randrange(4096))
-    return DrawnPicture(jpeg_picture(f"drawn {index:03d} {width}x{height}", image), (width, height), marked, color)
+    _marked(image, marked, color)
+    size = width, height
+    picture = jpeg_picture(f"drawn {index:03d} {width}x{height}", image, _reference(size, marked))
+    return DrawnPicture(picture, size, marked, color)
+
+
+def _reference(size: tuple[int, int], box: Box | None) -> dict[str, Any]:
+    return {"size": size, "rectangle": box}
 
 
 def _free_boxes(rng: random.Random, width: int, height: int, n: int) -> list[Box]:
@@ -128,11 +136,11 @@ def _free_boxes(rng: random.Random, width: int, height: int, n: int) -> list[Box
     return boxes
 
 
-def _plain(width: int, height: int) -> MarkImage:
+def _plain(width: int, height: int) -> Image:
     return np.full((height, width, 3), _GREY, np.uint8)
 
 
-def _shape(image: MarkImage, box: Box, color: str, round_: bool) -> None:
+def _shape(image: Image, box: Box, color: str, round_: bool) -> None:
     import cv2
 
     x, y, w, h = (int(v) for v in box)
@@ -142,12 +150,12 @@ def _shape(image: MarkImage, box: Box, color: str, round_: bool) -> None:
         cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), _COLORS[color], -1)
 
 
-def _marked(image: MarkImage, box: Box, color: str, identity: int) -> None:
+def _marked(image: Image, box: Box, color: str) -> None:
+    """Draw a rectangle with a grid of black and white cells in its middle."""
     _shape(image, box, color, False)
-    draw(image, box, Mark(identity))
-    # The frame of the mark hides the colour that the prompt names. So the outermost two pixels get this colour again.
-    # The grid of the mark does not reach these pixels.
     x, y, w, h = (int(v) for v in box)
-    for thick in range(2):
-        image[[y + thick, y + h - 1 - thick], x : x + w] = _COLORS[color]
-        image[y : y + h, [x + thick, x + w - 1 - thick]] = _COLORS[color]
+    cells = np.indices((_GRID, _GRID)).sum(axis=0) % 2 * 255
+    side = min(w, h) // (2 * _GRID)
+    grid = cells.repeat(side, axis=0).repeat(side, axis=1)[:, :, None]
+    top, left = y + (h - grid.shape[0]) // 2, x + (w - grid.shape[1]) // 2
+    image[top : top + grid.shape[0], left : left + grid.shape[1]] = grid

@@ -113,11 +113,13 @@ class Tracks:
     looks: Mapping[int, tuple[SeenColumns, ...]]
     repeats: Repeats = USUAL_REPEATS
 
-    def with_people(self, columns: SeenColumns, frame: int, people: Sequence[tuple[str, PersonReading]]) -> Tracks:
+    def with_people(
+        self, columns: SeenColumns | None, frame: int, people: Sequence[tuple[str, PersonReading]]
+    ) -> Tracks:
         """Return the tracks with one more picture.
 
         Args:
-            columns: Columns that the picture shows.
+            columns: Columns that the picture shows. None for more people of a picture that the tracks have.
             frame: Frame of the picture.
             people: Entity and reading of each person in the picture.
 
@@ -127,7 +129,7 @@ class Tracks:
         readings = dict(self.people)
         for entity, reading in people:
             readings[entity] = (*readings.get(entity, ()), reading)
-        looks = {**self.looks, frame: (*self.looks.get(frame, ()), columns)}
+        looks = {**self.looks, frame: (*self.looks.get(frame, ()), *([columns] if columns else []))}
         return Tracks(readings, looks, self.repeats)
 
     # -- attributes -----------------------------------------------------------------------------------------------
@@ -151,8 +153,10 @@ class Tracks:
             # A positive reading of a relation of this name is a reading of the interaction too.
             votes += [
                 (at, vote)
-                for source, relation, target, at, vote in self._ties
-                if relation == value and entity in (source, target) and vote > 0
+                for (source, relation, target), ties in self._votes_of_ties.items()
+                if relation == value and entity in (source, target)
+                for at, vote in ties
+                if vote > 0
             ]
         return self._support(votes, None if name in TIMELESS else frame)
 
@@ -334,25 +338,21 @@ class Tracks:
 
     @cached_property
     def _ties(self) -> list[tuple[str, str, str, int, float]]:
-        """The relations as read: source, name, target, frame and log-odds."""
-        names = {
-            (reading.observation, reading.number): entity
-            for entity, readings in self.people.items()
-            for reading in readings
-        }
+        """The relations as read, in the order of the pictures: source, name, target, frame and log-odds."""
+        readings = [(reading, entity) for entity, items in self.people.items() for reading in items]
+        names = {(reading.observation, reading.number): entity for reading, entity in readings}
+        # Names of observations, such as o2 and o10, are in the order of their lengths first.
+        readings.sort(key=lambda item: (len(item[0].observation), item[0].observation, item[0].number))
         return [
-            (
-                entity,
-                tie.relation,
-                names[reading.observation, tie.other],
-                reading.frame,
-                signed(tie.holds, tie.confidence),
-            )
-            for entity, readings in self.people.items()
-            for reading in readings
-            for tie in reading.ties
-            if (reading.observation, tie.other) in names
+            (entity, tie.relation, names[key], reading.frame, signed(tie.holds, tie.confidence))
+            for reading, entity in readings
+            for tie in sorted(reading.ties, key=lambda tie: tie.other)
+            if (key := (reading.observation, tie.other)) in names
         ]
+
+    def is_voted(self, key: tuple[str, str, str], frame: int) -> bool:
+        """Return whether a reading at a frame votes on a relation, which is given by its `tie_key`."""
+        return any(at == frame for at, _ in self._votes_of_ties.get(key, ()))
 
 
 def tie_key(source: str, relation: str, target: str) -> tuple[str, str, str]:

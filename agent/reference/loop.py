@@ -220,7 +220,10 @@ class AgentLoop:
         return self._add_view(self.attempt.look(frame, angle))
 
     def _advised(self) -> list[str]:
+        started = time.perf_counter()
         looks = self.memory.due_looks(self._left)
+        due = [{"frame_id": f"{look.frame:06d}", "angle_deg": look.angle, "reason": look.reason} for look in looks]
+        self.attempt.record("solve", {"looks_left": self._left}, due, started)
         if not looks:
             raise DecodeError("no further look would help: give the final answer")
         return [self._make(look) for look in looks]

@@ -1,13 +1,14 @@
-"""The simulated model: a server that answers by reading marks from the pictures it is sent, and nothing else.
+"""The simulated model: a server that answers from the annotations of a store, with errors as real models make them.
 
 It speaks the chat-completions protocol, with function calling, and is stateless: each request holds the history of
-a question. It knows nothing that is not in the pixels or in the prompt.
+a question. In a run that is declared simulated, each picture says which frame and angle it shows.
 
-    knobs, confusion     its imperfections, and the profiles that set them
-    perception           the marks of a picture, as far as the knobs let it read them
-    requests, tools      a request as stage, question and sightings; function calls
-    same_person          who is the same person in several pictures, where there are no identities
-    play, facts          the stages of the baselines, by the policy of `agent.policy`; facts of the chain of thought
-    play_agent, notes    the reference agent: what it reads goes into the agent's graph, and is read back from there
-    noise, server        faults of replies; the socket
+    profiles, noise      errors, and the profiles that set them
+    sight, people        people of a frame, from the annotations
+    recorded             a detector's readings in place of annotated boxes
+    requests, tools      a request as stage, question and pictures; function calls
+    fields               what is replied about each person of a picture
+    brain                all stages of methods without a world model
+    play_tools           turns of the agent with a world model
+    server               the socket, and the checks of a server
 """

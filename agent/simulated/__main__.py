@@ -1,53 +1,42 @@
-"""`python -m jrdb_avr.agent.simulated [--port N] [--log FILE] [--profile P] [--knob NAME=VALUE ...]`: serve.
+"""Serve the simulated model: `python -m jrdb_avr.agent.simulated --store S [--port N]`.
 
-Prints one line, `marker ready at URL`, once it takes requests. Ends by itself when its standard input is a pipe that
-the parent process has closed, so that a killed run leaves no server behind.
+The command prints one line, `simulated model ready at URL`, and serves until it is stopped.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import stat
-import sys
-import threading
-from pathlib import Path
 
-from jrdb_avr.agent.simulated.knobs import PROFILES, knob_table, parse
-from jrdb_avr.agent.simulated.server import READY, Server
-from jrdb_avr.schema.errors import InputError
+from jrdb_avr.agent.simulated.profiles import PROFILES, USUAL, describe_settings, parse_errors
+from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.agent.simulated.sight import Sight
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError
 
 
 def main() -> None:
     """Serve until stopped."""
-    table = "\n".join(f"  {name}={value}  {what}" for name, value, what in knob_table())
+    table = "\n".join(f"  {name}={value}  {text}" for name, value, text in describe_settings())
     parser = argparse.ArgumentParser(
         prog="python -m jrdb_avr.agent.simulated",
-        description="Serve the simulated model.",
-        epilog=f"Knobs, with their defaults:\n{table}",
+        description="Serve the simulated model, which reads the annotations of a store.",
+        epilog=f"Settings, with their defaults:\n{table}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; a free one if left out")
-    parser.add_argument("--log", type=Path, help="file for one JSON line per answer")
-    parser.add_argument(
-        "--profile", choices=PROFILES, default="perfect", help="knobs to begin with, but for models named as a profile"
-    )
-    parser.add_argument("--knob", action="append", default=[], metavar="NAME=VALUE", help="imperfection")
+    parser.add_argument("--store", required=True, help="store with annotations")
+    parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; default: a free one")
+    parser.add_argument("--profile", choices=PROFILES, help="errors; default: the profile in the name of the model")
+    parser.add_argument("--simulate", action="append", default=[], metavar="KEY=VALUE", help="change one setting")
     options = parser.parse_args()
     try:
-        knobs = parse(options.knob, PROFILES[options.profile])
-    except InputError as error:
+        errors = parse_errors(options.simulate, PROFILES[options.profile or USUAL])
+        sight = Sight(Store(options.store))
+        server = Server(sight, errors if options.profile or options.simulate else None, options.port)
+    except AvrError as error:
         parser.error(str(error))
-    with Server(options.port, options.log, knobs) as server:
-        print(f"{READY}{server.url}", flush=True)
-        if stat.S_ISFIFO(os.fstat(0).st_mode):
-            threading.Thread(target=_watch, args=(server,), daemon=True).start()
+    with server:
+        print(f"simulated model ready at {server.url}", flush=True)
         server.serve_forever()
-
-
-def _watch(server: Server) -> None:
-    sys.stdin.buffer.read()
-    server.shutdown()
 
 
 if __name__ == "__main__":

@@ -90,13 +90,18 @@ class View:
     left: float
     width: float
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return int(self.width), HEIGHT
+
     def place(self, box: Box) -> Box | None:
         """Return a box in pixels of the picture, or None if the picture does not show its centre column."""
         x = (box.x + box.w / 2 - self.left) % WIDTH
         return None if x >= self.width else box._replace(x=x - box.w / 2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReadPerson:
     """A person as the model reads the person in one picture.
 

@@ -7,10 +7,8 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.model.decode import write_box
-from jrdb_avr.agent.policy.explorer import Look
-from jrdb_avr.agent.simulated import fields
-from jrdb_avr.agent.simulated.requests import Request, StageReply
+from jrdb_avr.agent.simulated.fields import NEAREST, START, read_fields, say
+from jrdb_avr.agent.simulated.requests import Look, Request, StageReply, box_in
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import angle_error
@@ -77,18 +75,18 @@ def _lines(request: Request) -> tuple[_World, list[Any] | None]:
 
 def _add_people(request: Request, look: Look) -> dict[str, Any]:
     """Write the people of a picture, the nearest first."""
-    names = fields.read_fields(request.line(fields.START) or "")
-    people = sorted(look.sightings, key=lambda person: -person.box.h)[: fields.NEAREST]
+    names = read_fields(request.line(START) or "")
+    people = sorted(look.people, key=lambda person: -person.box.h)[:NEAREST]
     ids = [f"p{person.identity}" for person in people]
 
     def value(name: str, person: Any) -> Any:
-        said = fields.said(name, person, people)
+        said = say(name, person, people)
         return [ids[number - 1] for number in said] if isinstance(said, list) else said
 
     listed = [
         {
             "id": entity,
-            "box": write_box(look.box_inside(person), look.size),
+            "box": box_in(look, person),
             **{name: value(name, person) for name in names},
         }
         for entity, person in zip(ids, people, strict=True)

@@ -1,7 +1,7 @@
 """Serve the simulated model: chat completions over HTTP on the loopback interface.
 
-The server plays the stages of a question, and does what the probes of a server ask for as far as marks and JSON go: it
-repeats a word or an object, follows a JSON Schema of labels, and finds the rectangle with a mark in a drawn picture.
+The server plays the stages of a question from the annotations of a store. It also passes the checks of a server: it
+repeats a word or an object, follows a JSON Schema of labels, and finds the marked rectangle of a drawn picture.
 """
 
 from __future__ import annotations
@@ -9,38 +9,39 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.agent.model.conventions import SCALE
 from jrdb_avr.agent.model.decode import write_box
+from jrdb_avr.agent.model.labelled_people import PERSON_LINE
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
-from jrdb_avr.agent.simulated.knobs import PERFECT, PROFILES, Draws, Knobs, settings
-from jrdb_avr.agent.simulated.reply_faults import Wording, think, with_wrong_boxes, with_wrong_policy, word
-from jrdb_avr.agent.simulated.perception import Perception, Reader
-from jrdb_avr.agent.simulated.play import STAGES
-from jrdb_avr.agent.simulated.requests import Request, UserMessage, lines_of, read_request
+from jrdb_avr.agent.simulated.brain import STAGES
+from jrdb_avr.agent.simulated.noise import Draws, Reader, ReadPerson, View
+from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
+from jrdb_avr.agent.simulated.recorded import RecordedReader
+from jrdb_avr.agent.simulated.requests import See, UserMessage, lines_of, read_request, view_of
+from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, forced, tool_calls, user_turns, with_stage
-from jrdb_avr.schema.errors import DecodeError, EndpointError
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import CROP, Box, iou
 
-MODEL: Final = "marker"
 _LONGEST_REQUEST: Final = 256 * 1024 * 1024
 _IMAGE_TOKENS: Final = 256
-READY: Final = "marker ready at "
-"""Begins the line that the process prints once it takes requests; the server's address follows."""
+_PICTURES: Final = 4096
+"""Maximum number of pictures in memory, as they were read."""
 
 
 class _Request(msgspec.Struct):
     messages: list[ChatMessage]
-    model: str = MODEL
+    model: str = SIMULATED
     response_format: Any = None
     tools: list[Tool] | None = None
     tool_choice: Any = None
@@ -51,16 +52,16 @@ class _Request(msgspec.Struct):
 
     @property
     def usable_tools(self) -> list[Tool]:
-        """The tools that may be called."""
+        """Tools that may be called."""
         return [] if self.tool_choice == "none" else self.tools or []
 
     @property
     def turns(self) -> list[UserMessage]:
-        """The user messages, and the results of calls."""
+        """User messages, and the results of calls."""
         return with_stage(user_turns(self.messages), self.usable_tools, self.tool_choice, STAGES)
 
     def check(self) -> None:
-        """Raises DecodeError for what the server cannot do."""
+        """Raise DecodeError for a request that the server cannot serve."""
         if self.stream:
             raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
         if self.n not in (None, 1):
@@ -70,95 +71,109 @@ class _Request(msgspec.Struct):
         forced(self.tool_choice)
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
+# Made at import, because threads that meet a type first at the same time crash the decoder.
 _REQUEST: Final = msgspec.json.Decoder(_Request)
 
 
 class Server(ThreadingHTTPServer):
-    """Serves until `shutdown`.
-
-    A request for a model that is named like a profile gets that profile, any other `knobs`.
-    `log` receives one JSON line per answered question: the question, what was missing, and which knob spoiled it.
-    """
+    """Server of the simulated model. It serves until `shutdown`."""
 
     daemon_threads = True
     request_queue_size = 128
 
-    def __init__(self, port: int = 0, log: Path | None = None, knobs: Knobs = PERFECT) -> None:
+    def __init__(self, sight: Sight | None, errors: Errors | None = None, port: int = 0) -> None:
+        """Open the port.
+
+        Args:
+            sight: Annotated people of a store. Without it, the model passes only the checks of a server.
+            errors: Errors of the model. None takes the profile that a request's model names, or else the usual one.
+            port: Port on 127.0.0.1. 0 takes a free one.
+        """
         super().__init__(("127.0.0.1", port), _Handler)
-        self.reader = Reader()
-        self.knobs = knobs
-        self._log = log
-        self._lock = threading.Lock()
+        self._sight = sight
+        self._errors = errors
+        # Every turn sends all pictures again.
+        self._see = functools.lru_cache(_PICTURES)(self._read)
+
+    def _read(self, errors: Errors, view: View) -> tuple[ReadPerson, ...]:
+        """Return the people who are read in a picture."""
+        if self._sight is None:
+            raise DecodeError("the simulated model has no store to read annotations from")
+        reader = (RecordedReader if errors.readings else Reader)(errors, view)
+        return reader.people(self._sight.people(view.sequence, view.frame))
 
     @property
     def url(self) -> str:
-        """The base URL for a client."""
+        """Base URL for a client."""
         return f"http://127.0.0.1:{self.server_port}/v1"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore a client that goes away, as when a run is killed; report anything else."""
+        """Ignore a client that goes away, as when a run is killed. Report any other error."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
     def reply(self, body: bytes) -> dict[str, Any]:
-        """The completion for a request's body. Raises DecodeError for one that cannot be understood."""
+        """Return the completion for a request.
+
+        Args:
+            body: Body of the request.
+
+        Returns:
+            The completion. Equal requests get equal completions.
+
+        Raises:
+            DecodeError: If the request cannot be understood.
+        """
         try:
             message = _REQUEST.decode(body)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise DecodeError(f"no chat-completions request: {error}") from None
+            raise DecodeError(f"not a chat-completions request: {error}") from None
         message.check()
-        knobs = PROFILES.get(message.model, self.knobs)
-        draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
-        request = read_request(message.turns, self.reader, STAGES, functools.partial(Perception, knobs))
+        errors = self._errors or PROFILES[_profile_name(message.model)]
+        see = functools.partial(self._see, errors)
+        # Only programs that declare tools may send pictures without references.
+        sequences = self._sight.sequences if self._sight is not None and message.tools else {}
+        request = read_request(message.turns, STAGES, see, sequences)
         calls: list[dict[str, Any]] = []
         if request is None:
-            wording = Wording(think(knobs, draws) + _probe_reply(message, self.reader))
+            content = _probe_reply(message, see)
         else:
-            wording, reply = self._play(request, knobs, draws)
-            if reply is not None and message.usable_tools:
+            reply = STAGES[request.stage](request).reply
+            content = msgspec.json.encode(reply).decode()
+            draws = Draws(errors.seed, hashlib.sha256(body).hexdigest() if errors.malformed else "")
+            if draws.happens(errors.malformed, "malformed"):
+                content = _malformed(content, draws)
+            elif message.usable_tools:
                 calls = tool_calls(reply, message.usable_tools, message.tool_choice, len(message.messages))
-        time.sleep(knobs.latency)
-        return _completion(message, wording, calls[:1] if message.parallel_tool_calls is False else calls)
-
-    def _play(self, request: Request, knobs: Knobs, draws: Draws) -> tuple[Wording, Mapping[str, Any] | None]:
-        """The reply as it is sent, and as an object; None where it is spoiled."""
-        turn = STAGES[request.stage](request)
-        reply = with_wrong_boxes(turn.reply, request.looks, knobs, draws)
-        boxes_wrong = reply != turn.reply
-        reply = with_wrong_policy(reply, knobs, draws)
-        wording, spoiled = word(msgspec.json.encode(reply).decode(), knobs, draws)
-        if self._log is not None and turn.missing is not None:
-            faults = [*(["wrong_box"] if boxes_wrong else ()), *([spoiled] if spoiled else ())]
-            line = {
-                "stage": request.stage,
-                "question": request.question,
-                "choices": request.choices,
-                "looks": len(request.looks),
-                "missing": turn.missing,
-                **({"knobs": faults} if faults else {}),
-            }
-            with self._lock, self._log.open("ab") as file:
-                file.write(msgspec.json.encode(line) + b"\n")
-        return wording, None if spoiled else reply
+        time.sleep(errors.latency)
+        return _completion(message, content, calls[:1] if message.parallel_tool_calls is False else calls)
 
 
-def _completion(request: _Request, wording: Wording, calls: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+def _profile_name(model: str) -> str:
+    name = model.removeprefix(f"{SIMULATED}:")
+    return name if name in PROFILES else USUAL
+
+
+def _malformed(content: str, draws: Draws) -> str:
+    """Return a JSON object as models spoil it: without its end, with prose around it, or with Python's quotes."""
+    spoiled = (content[:-1], f"Here is my reply: {content} I hope that this helps.", repr(msgspec.json.decode(content)))
+    return draws.pick(spoiled, "how")
+
+
+def _completion(request: _Request, content: str, calls: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
     images = sum(part.image_url is not None for part in parts)
     prompt_tokens = sum(len(part.text) for part in parts) // 4 + images * _IMAGE_TOKENS
-    completion_tokens = len(wording.content or wording.refusal or "") // 4
-    answer: dict[str, Any] = {"role": "assistant", "content": wording.content}
-    if wording.refusal is not None:
-        answer |= {"content": None, "refusal": wording.refusal}
+    completion_tokens = len(content) // 4
+    answer: dict[str, Any] = {"role": "assistant", "content": content}
     if calls:
         answer |= {"content": None, "tool_calls": calls}
     return {
-        "id": "marker",
+        "id": SIMULATED,
         "object": "chat.completion",
         "created": 0,
         "model": request.model,
-        "choices": [{"index": 0, "finish_reason": "tool_calls" if calls else wording.finish_reason, "message": answer}],
+        "choices": [{"index": 0, "finish_reason": "tool_calls" if calls else "stop", "message": answer}],
         "usage": {
             "prompt_tokens": prompt_tokens,
             "completion_tokens": completion_tokens,
@@ -170,7 +185,7 @@ def _completion(request: _Request, wording: Wording, calls: Sequence[Mapping[str
 class _Handler(BaseHTTPRequestHandler):
     server: Server
     protocol_version = "HTTP/1.1"
-    # One packet per reply: headers and body apart would wait for each other's acknowledgement.
+    # One packet per reply, because headers and body apart would wait for each other's acknowledgement.
     wbufsize = -1
     disable_nagle_algorithm = True
 
@@ -201,50 +216,47 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: a line per request on stderr would break the progress bar of a run."""
+        """Print nothing, because a line per request on stderr would break the progress bar of a run."""
 
 
 @contextmanager
-def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
-    """Serve from a child process while a `with` block lasts, and yield the base URL; `log` and `knobs` as in `Server`.
+def simulated_server(sight: Sight | None, errors: Errors | None) -> Iterator[str]:
+    """Serve from a thread of this process while a `with` block lasts.
 
-    Raises EndpointError if it does not start.
+    Args:
+        sight: As in `Server`.
+        errors: As in `Server`.
+
+    Yields:
+        The base URL.
     """
-    command = [sys.executable, "-m", "jrdb_avr.agent.simulated"]
-    if log is not None:
-        command += ["--log", str(log)]
-    command += [part for setting in settings(knobs) for part in ("--knob", setting)]
-    # The process ends when the pipe to its standard input closes, however this process ends.
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with Server(sight, errors) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
         try:
-            assert process.stdout is not None, "its output is a pipe"
-            line = process.stdout.readline()
-            if not line.startswith(READY):
-                raise EndpointError(
-                    "the simulated model's server did not start: run 'python -m jrdb_avr.agent.simulated'"
-                )
-            yield line.removeprefix(READY).strip()
+            yield server.url
         finally:
-            process.kill()
+            server.shutdown()
+            thread.join()
 
 
 # -- probes -----------------------------------------------------------------------------------------------------------
 
 _WORD: Final = re.compile(r"Reply with the one word: (\w{1,40})")
 _OBJECT: Final = re.compile(r"Reply with the JSON object (\{.*\}) and nothing else\.")
+_BOX: Final = re.compile(r"inside the box (\[[0-9, ]+\]):")
 _FRAME: Final = re.compile(r'Picture \d+: \{"frame_id": ?"(\d{6})"\}')
 
 
-def _probe_reply(request: _Request, reader: Reader) -> str:
-    """The text of a reply to a request that is no stage of a question.
-
-    Raises DecodeError where its picture is missing or cannot be read.
-    """
+def _probe_reply(request: _Request, see: See) -> str:
+    """Return the reply to a request that is not a stage of a question. Raise DecodeError if its picture is missing."""
     parts = request.turns[-1] if request.turns else []
     lines = lines_of(parts)
     text, last = "\n".join(lines), lines[-1] if lines else ""
     if last in (CORNER_LINE, BOX_LINE, PANORAMA_LINE, CROP_LINE):
-        return msgspec.json.encode(_picture_reply(last, parts, reader)).decode()
+        return msgspec.json.encode(_picture_reply(last, parts)).decode()
+    if last == PERSON_LINE:
+        return msgspec.json.encode(_person_reply(text, parts, see)).decode()
     if found := _OBJECT.search(text):
         return found[1]
     match request.response_format:
@@ -255,30 +267,42 @@ def _probe_reply(request: _Request, reader: Reader) -> str:
 
 
 def _first_value(schema: object) -> Any:
-    """The first value that a schema lists."""
+    """Return the first value that a schema lists."""
     match schema:
         case {"enum": [value, *_]}:
             return value
 
 
-def _picture_reply(last: str, parts: UserMessage, reader: Reader) -> dict[str, Any]:
-    """The reply to a probe with pictures, of which one shows a mark."""
+def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
+    """Return the labels of the person whose box overlaps most with the box in a probe's text."""
+    reference, box = next((part.jrdb_avr for part in parts if part.jrdb_avr is not None), None), _BOX.search(text)
+    if reference is None or box is None:
+        raise DecodeError("the request names no box, or its picture has no reference")
+    left, top, right, bottom = (side * CROP / SCALE for side in msgspec.json.decode(box[1], type=list[int]))
+    asked = Box(left, top, right - left, bottom - top)
+    person = max(see(view_of(reference)), key=lambda other: iou(other.box, asked), default=None)
+    known = person is not None and iou(person.box, asked) > 0
+    return {
+        name: (person.label(name) if person and known else None) or "cannot tell" for name in ("gender", "age", "pose")
+    }
+
+
+def _picture_reply(last: str, parts: UserMessage) -> dict[str, Any]:
+    """Return the reply to a probe with drawn pictures, of which one shows a marked rectangle."""
     number, before = 0, ""
     for part in parts:
         if part.image_url is None:
             before = part.text
             continue
         number += 1
-        picture = reader.picture(part.image_url.url, wrap=False)
-        if picture.readings:
+        if part.jrdb_avr is not None and part.jrdb_avr.rectangle is not None:
             break
     else:
-        raise DecodeError("no picture of the request shows a mark")
-    mark = picture.readings[0].box
+        raise DecodeError("no picture of the request refers to a rectangle: declare the run simulated (--simulated)")
+    size, box = part.jrdb_avr.size, Box(*part.jrdb_avr.rectangle)
     if last == CORNER_LINE:
-        width, height = picture.size
-        down = "upper" if mark.y + mark.h / 2 < height / 2 else "lower"
-        across = "left" if mark.x + mark.w / 2 < width / 2 else "right"
+        down = "upper" if box.y + box.h / 2 < size[1] / 2 else "lower"
+        across = "left" if box.x + box.w / 2 < size[0] / 2 else "right"
         return {"corner": f"{down} {across}"}
     if last == PANORAMA_LINE:
         return {"calls": [{"tool": "final_answer", "answer": number, "entity": "p1"}]}
@@ -287,4 +311,4 @@ def _picture_reply(last: str, parts: UserMessage, reader: Reader) -> dict[str, A
         raise DecodeError("the request does not name its picture's frame")
     if last == CROP_LINE:
         return {"action": "observe", "frame_id": frame[1], "angle_deg": 180}
-    return {"evidence_bboxes": [{"frame_id": frame[1], "bbox": write_box(mark, picture.size)}]}
+    return {"evidence_bboxes": [{"frame_id": frame[1], "bbox": write_box(box, size)}]}

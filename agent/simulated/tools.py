@@ -1,9 +1,9 @@
-"""Function calling: requests with tools as those of ReAct are read, and replies as calls of the declared tools.
+"""Function calling: requests with tools are read like turns of ReAct, and replies are calls of the declared tools.
 
 Another harness declares `observe` (frame_id, angle_deg) and `answer`, `final_answer` or `submit_answer` (answer,
 evidence_bboxes), and sends the lines of a question's heading: `Question:`, `Choices:` and `Legal frames:`. The result
-of a call of `observe` holds the picture, in its own message or in a user message after it; the call's arguments place
-it. Without a line `Looks made: 3, left: 21` the budget is 24 looks.
+of a call of `observe` holds the picture, in its own message or in a user message after it. The arguments of the call
+are its frame and angle. Without a line `Looks made: 3, left: 21`, the budget is 24 looks.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import msgspec
 
 from jrdb_avr.agent.simulated.requests import FrameId, MessagePart, UserMessage, lines_of
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.panorama import crop_left
 
 _OBSERVE: Final = "observe"
 _ANSWERS: Final = ("answer", "final_answer", "submit_answer")
@@ -30,14 +29,14 @@ class _Called(msgspec.Struct):
 
 
 class ToolCall(msgspec.Struct):
-    """A call that an earlier reply made."""
+    """Call that an earlier reply made."""
 
     function: _Called
     id: str = ""
 
 
 class ChatMessage(msgspec.Struct):
-    """A message of a request."""
+    """Message of a request."""
 
     role: str = "user"
     content: str | UserMessage | None = ""
@@ -46,7 +45,7 @@ class ChatMessage(msgspec.Struct):
 
     @property
     def parts(self) -> UserMessage:
-        """Its texts and pictures."""
+        """Texts and pictures of the message."""
         return self.content if isinstance(self.content, list) else [MessagePart(self.content or "")]
 
 
@@ -61,7 +60,7 @@ class _Function(msgspec.Struct):
 
 
 class Tool(msgspec.Struct):
-    """A declared tool."""
+    """Declared tool."""
 
     function: _Function
 
@@ -71,12 +70,12 @@ class _Look(msgspec.Struct):
     angle_deg: float
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
+# Made at import, because threads that meet a type first at the same time crash the decoder.
 _LOOK: Final = msgspec.json.Decoder(_Look)
 
 
 def user_turns(messages: Sequence[ChatMessage]) -> list[UserMessage]:
-    """The user messages and the results of calls; a line before each picture of a result says where it was taken."""
+    """Return the user messages and the results of calls. Before each result's picture, a line names frame and angle."""
     turns = []
     due: dict[str, str] = {}
     for message in messages:
@@ -96,19 +95,18 @@ def user_turns(messages: Sequence[ChatMessage]) -> list[UserMessage]:
 
 
 def _placed(call: ToolCall) -> str:
-    """The line before the picture that a call of `observe` returns."""
+    """Return the line before the picture that a call of `observe` returns."""
     try:
         look = _LOOK.decode(call.function.arguments)
     except msgspec.DecodeError as error:
         raise DecodeError(f"the arguments of an earlier call of {_OBSERVE} cannot be read: {error}") from None
-    place = {"frame_id": look.frame_id, "angle_deg": look.angle_deg, "left": int(crop_left(look.angle_deg))}
-    return f"Picture: {msgspec.json.encode(place).decode()}"
+    return f"Picture: {msgspec.json.encode(look).decode()}"
 
 
 def with_stage(
     turns: Sequence[UserMessage], tools: Sequence[Tool], choice: Any, stages: Collection[str]
 ) -> list[UserMessage]:
-    """The turns with the stage that the tools stand for as their last line, where no line names one."""
+    """Return the turns. If their last line names no stage, append the line of the stage that the tools mean."""
     names = {tool.function.name for tool in tools}
     lines = lines_of(turns[-1]) if turns else ()
     if not turns or (lines and lines[-1] in stages) or not names & {_OBSERVE, *_ANSWERS}:
@@ -122,7 +120,7 @@ def with_stage(
 
 
 def forced(choice: Any) -> str | None:
-    """The tool that a request's `tool_choice` names; None where it names none. Raises DecodeError for other forms."""
+    """Return the tool that a request's `tool_choice` names, or None. Raise DecodeError for other forms."""
     match choice:
         case None | "auto" | "required" | "none":
             return None
@@ -132,10 +130,19 @@ def forced(choice: Any) -> str | None:
 
 
 def tool_calls(reply: Mapping[str, Any], tools: Sequence[Tool], choice: Any, turn: int) -> list[dict[str, Any]]:
-    """A reply as calls of the declared tools, with ids of this turn; none where it is no call of a tool.
+    """Return a reply as calls of the declared tools.
 
-    Raises DecodeError where a tool is missing or needs an argument that the model does not give, or where another tool
-    is forced.
+    Args:
+        reply: Reply as an object.
+        tools: Declared tools.
+        choice: The request's `tool_choice`.
+        turn: Number of the turn, for the ids of the calls.
+
+    Returns:
+        The calls. The list is empty if the reply calls no tool.
+
+    Raises:
+        DecodeError: If a tool or an argument is missing, or if another tool is forced.
     """
     declared = {tool.function.name: tool.function.parameters for tool in tools}
     if "calls" in reply:

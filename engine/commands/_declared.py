@@ -101,7 +101,6 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
     "questions": _Ids(),
     "images": _FOLDER,
     "price": FILE,
-    "marker": click.STRING,
     "temperature": _Number(),
     "extra_body": _Object(),
     "headers": _Header(),
@@ -109,7 +108,7 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
 }
 """Click types by name of the field. Other fields have the click type that their annotation and limits imply."""
 
-_REPEATED: Final = ("headers", "marker", "families", "templates", "sequences")
+_REPEATED: Final = ("headers", "simulate", "families", "templates", "sequences")
 """Options that may be repeated."""
 
 
@@ -201,7 +200,7 @@ def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:
     Returns:
         A decorator.
     """
-    about = "Id of the model. Built-in simulated models: marker (no errors), simulated:noisy, simulated:small-vlm."
+    about = "Id of the model. Simulated models, which read annotations: simulated, simulated:PROFILE (docs/models.md)."
     return click.option("--model", required=required, help=about + text)
 
 
@@ -220,7 +219,7 @@ def endpoint_options(function: _C) -> Callable[..., Any]:
 
 def check_address(model: str, base_url: str | None) -> None:
     """Raise UsageError if a model needs the address of a server and `base_url` is None."""
-    from jrdb_avr.agent.simulated.knobs import profile_of
+    from jrdb_avr.agent.simulated.profiles import profile_of
 
     try:
         simulated = profile_of(model) is not None

@@ -39,7 +39,7 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of
     from jrdb_avr.agent.preflight import preflight
-    from jrdb_avr.engine.run.endpoint import serving, write_calibration
+    from jrdb_avr.engine.run.endpoint import declared, serving, write_calibration
     from jrdb_avr.engine.run.labelled_people import labelled_people
     from jrdb_avr.queries.display import step_counter
 
@@ -47,8 +47,8 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
         # A folder that has neither questions nor a manifest is not a store: `manifest` raises the error that says so.
         store.manifest()
     people = labelled_people(store) if store.path.joinpath("annotations").exists() else []
-    with serving(model, endpoint.base_url) as url, progress_bar() as progress:
-        client = Client(url, model, endpoint, convention=convention_of(model))
+    with serving(model, endpoint.base_url, store if people else None) as url, progress_bar() as progress:
+        client = Client(url, model, declared(model, endpoint), convention=convention_of(model))
         for check in preflight(client):
             if not check.passed:
                 note(f"warning: {check.line}")

@@ -74,9 +74,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     is 1 if a run fails, or if a question ends in an error.
 
     Examples:
-      jrdb-avr evaluate --store S --method react --model marker
+      jrdb-avr evaluate --store S --method react --model simulated
       jrdb-avr evaluate --store S --method agent --model M --base-url http://localhost:8000/v1
-      jrdb-avr evaluate --store S --method agent --model marker --resume
+      jrdb-avr evaluate --store S --method agent --model simulated --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
     A public store (see 'export --public') is a store for machines that must not have the answers. It holds no answers
@@ -85,7 +85,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
-    from jrdb_avr.agent.simulated.knobs import profile_of
+    from jrdb_avr.agent.simulated.profiles import profile_of
     from jrdb_avr.engine.report.formats import filled
 
     runs = [values] if matrix is None else matrix_runs(matrix, click.get_current_context(), values)
@@ -103,7 +103,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
             note(f"jrdb-avr: {evaluation.method}, {evaluation.model}: {error}")
     title = "Run" if len(epochs) == 1 else "Runs"
     if any(run.synthetic for run in results):
-        simulated = any(profile_of(run["model"]) is not None for run in runs)
+        simulated = any(run["simulated"] or profile_of(run["model"]) is not None for run in runs)
         title += f" (synthetic: the {'simulated model' if simulated else 'sample world'})"
     rows = filled([run.row() for run in results])
     print_rows(rows, title=title, form=form)
@@ -147,7 +147,6 @@ def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
 def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
     """Return the arguments of `evaluate` for one run. Raise UsageError if options contradict each other."""
     from jrdb_avr.agent.model.prices import read_price
-    from jrdb_avr.agent.simulated.knobs import PERFECT, parse, profile_of
     from jrdb_avr.engine.run.evaluate import check_options
 
     method, model = values["method"], values["model"]
@@ -157,8 +156,7 @@ def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
     if model != NO_MODEL:
         check_address(model, values["base_url"])
     price = None if values["price"] is None else read_price(values["price"], model)
-    marker = parse(values["marker"], profile_of(model) or PERFECT) if values["marker"] else None
-    filled = {**values, "price": price, "marker": marker}
+    filled = {**values, "price": price}
     options = EvaluateOptions(
         endpoint=build(EndpointOptions, filled),
         selection=build(QuestionSelection, {**filled, "questions": values["questions"] or ()}),

@@ -47,7 +47,7 @@ def export(
     Examples:
       jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
       jrdb-avr export --store S --public folder --opaque
-      jrdb-avr export --store S react-marker --jsonl predictions.jsonl
+      jrdb-avr export --store S react-simulated --jsonl predictions.jsonl
     """
     if jsonl is hf is public is None:
         raise click.UsageError("say what to write: --public, --hf or --jsonl")
@@ -89,7 +89,7 @@ def submit(store: Store, run: str, folder: Path) -> None:
     settings do not contain the address of the model's server. RUN may be in a store without answers.
 
     Examples:
-      jrdb-avr submit react-marker bundle --store S
+      jrdb-avr submit react-simulated bundle --store S
       jrdb-avr score --store S --bundle bundle         on a machine with the answers
     """
     from jrdb_avr.engine.report.bundle import write_bundle

@@ -28,11 +28,11 @@ def command(model: str, endpoint: Any, form: RowFormat) -> None:
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of
     from jrdb_avr.agent.preflight import preflight, require
-    from jrdb_avr.engine.run.endpoint import serving
+    from jrdb_avr.engine.run.endpoint import declared, serving
     from jrdb_avr.schema.errors import EndpointError
 
     with serving(model, endpoint.base_url) as url:
-        checks = preflight(Client(url, model, endpoint, convention=convention_of(model)))
+        checks = preflight(Client(url, model, declared(model, endpoint), convention=convention_of(model)))
     rows: list[dict[str, Any]] = []
     for check in checks:
         remedy = "" if check.passed else check.remedy

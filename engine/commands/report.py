@@ -41,7 +41,7 @@ def score(
     runs/RUN/scores.parquet of the store. The command prints the mean scores of each run.
 
     Examples:
-      jrdb-avr score --store S react-marker
+      jrdb-avr score --store S react-simulated
       jrdb-avr score --store S --jsonl mine.jsonl     import predictions as the run 'mine'
       jrdb-avr score --store S --bundle bundle        score a bundle of 'submit'
     """

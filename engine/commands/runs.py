@@ -49,7 +49,8 @@ def runs_list(store: Store, form: RowFormat) -> None:
 
 
 @command.command(
-    short_help="Show the settings and failures of a run.", epilog="Example: jrdb-avr runs show agent-marker --store S"
+    short_help="Show the settings and failures of a run.",
+    epilog="Example: jrdb-avr runs show agent-simulated --store S",
 )
 @run_argument("run")
 @store_option()
@@ -107,7 +108,7 @@ def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
 
 @command.command(
     short_help="Delete runs and their world models.",
-    epilog="Example: jrdb-avr runs remove react-marker --store S --yes",
+    epilog="Example: jrdb-avr runs remove react-simulated --store S --yes",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()

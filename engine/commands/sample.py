@@ -36,8 +36,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
     """Write synthetic data to the new folder DIR, in the layout of JRDB, so that 'load' can read it.
 
-    The data are label files and panoramas. The panoramas show drawn people. Each drawn person carries a mark that the
-    simulated model can read. The default size is 5 sequences of 1,050 frames.
+    The data are label files and panoramas that show drawn people. The default size is 5 sequences of 1,050 frames.
 
     Examples:
       jrdb-avr sample ./sample

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.command(epilog="Example: jrdb-avr trace react-marker 0098303b6414dec4 --store S --out trace.html")
+@click.command(epilog="Example: jrdb-avr trace react-simulated 0098303b6414dec4 --store S --out trace.html")
 @run_argument("run")
 @click.argument("question")
 @store_option()

@@ -28,10 +28,6 @@ _SMALL: Final = (240, 240)
 _PICTURES: Final = 200
 """Maximum number of looks with a picture. With more pictures, browsers might fail to open the page."""
 
-_LETTER: Final = 6.4
-_MAP_WIDTH: Final = 934.0
-"""Width of the map in `trace.html`, in units of its view box."""
-
 _NAMED: Final = 16
 """Maximum number of entities with names on the map. If there are more entities, the map shows no names."""
 
@@ -155,35 +151,19 @@ def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
 def _marks(trace: Trace, roles: Mapping[str, int]) -> list[dict[str, Any]]:
     """Return the marks on the map. A mark shows a sighting of an entity.
 
-    Each mark has a step, a colour (`role`), a frame, a column, a text, and a name (`label`, which may be empty).
-    `label_y` is the distance from the mark down to the name.
+    Each mark has a step, a colour (`role`), a frame, a column, the name of the entity, and a label. The label is the
+    name for the first sighting of each entity, if there are few entities, else empty. `label_y` is the distance from
+    the mark down to the label.
     """
     marks: list[dict[str, Any]] = []
-    labelled: set[str] = set()
-    levels: dict[int, list[list[tuple[float, float]]]] = {}
+    lines = {name: 17 + 12 * (index % 3) for index, name in enumerate(roles)} if len(roles) <= _NAMED else {}
     for write in trace.writes:
-        if (sighting := write.fact.sighted) is None:
-            continue
-        name, column = name_of(sighting.source), (sighting.box.x + sighting.box.w / 2) % WIDTH
-        # If there are few entities, each name is drawn once, on the first free line below the first sighting.
-        label = name[:12] if name not in labelled and len(roles) <= _NAMED else ""
-        left = column * _MAP_WIDTH / WIDTH
-        beside = levels.setdefault(sighting.frame // 15, [])
-        line = _level(beside, (left, left + 12 + _LETTER * len(label))) if label else 0
-        mark = {"step": write.step, "role": roles.get(name, 0), "frame": sighting.frame, "column": column}
-        marks.append(mark | {"text": name, "label": label, "label_y": 17 + 12 * line})
-        labelled.add(name)
+        if (sighting := write.fact.sighted) is not None:
+            name, column = name_of(sighting.source), (sighting.box.x + sighting.box.w / 2) % WIDTH
+            mark = {"step": write.step, "role": roles.get(name, 0), "frame": sighting.frame, "column": column}
+            label = {"label": name[:12] if name in lines else "", "label_y": lines.pop(name, 0)}
+            marks.append(mark | label | {"text": name})
     return marks
-
-
-def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
-    """Reserve a horizontal extent on the lowest level that has space for this extent, and return the level's index."""
-    for index, taken in enumerate(levels):
-        if all(extent[1] < low or high < extent[0] for low, high in taken):
-            taken.append(extent)
-            return index
-    levels.append([extent])
-    return len(levels) - 1
 
 
 # -- turns -------------------------------------------------------------------------------------------------------------

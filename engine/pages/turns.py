@@ -12,10 +12,14 @@ import msgspec
 from jrdb_avr.engine.report.traces import Look, StoredRow, Transcript, Written
 from jrdb_avr.schema.beliefs import ALWAYS, name_of
 from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan, parse_plan
 
 _LONGEST: Final = 20_000
 """Maximum number of characters of a text. The middle of a longer text is left out."""
+
+_ASIDE_DEG: Final = 10.0
+"""Maximum angle in degrees between a look that was due and the look that was made."""
 
 ROLES: Final = 6
 """Number of colours of people in `roles.css`."""
@@ -49,9 +53,8 @@ class Binding(msgspec.Struct):
 
 
 class GraphState(msgspec.Struct):
-    """The line `World` of a prompt: people, likely bindings, open parts of the plan, and the supported answer."""
+    """The line `World` of a prompt: likely bindings, open parts of the plan, and the supported answer."""
 
-    people: dict[str, str] = {}
     likely: list[Binding] = []
     open: list[str] = []
     supported: Any = None
@@ -172,10 +175,18 @@ def turns_of(transcript: Transcript) -> list[Turn]:
         calls = [_call(step) for step in group if step["kind"] == "tool"]
         graph, advised = _stated(group[0])
         people = _people(writes)
+        due = [
+            look
+            for step in group
+            if step["kind"] == "solve"
+            for look in _decoded(step["response"], list[AdvisedLook]) or []
+        ]
         number += group[0]["kind"] == "model"
         head = f"Turn {number}" if number else "Before the first turn"
         ended = after is None and transcript.prediction["status"] == "answered"
-        did = ", ".join(_deeds(writes, looks, calls, people)) or ("answered" if ended else "replied")
+        did = ", ".join(_deeds(writes, [_purpose(look, due) for look in looks], calls, people)) or (
+            "answered" if ended else "replied"
+        )
         results = " ".join(call.result for call in calls)
         refused = [row for row in (write.row for write in writes) if row["reason"] and row["reason"] not in results]
         shown = {look.step for look in looks}
@@ -228,7 +239,7 @@ def _call(step: StoredRow) -> Call:
 
 
 def _deeds(
-    writes: Sequence[Written], looks: Sequence[Look], calls: Sequence[Call], people: Sequence[PersonLine]
+    writes: Sequence[Written], looks: Sequence[str], calls: Sequence[Call], people: Sequence[PersonLine]
 ) -> Iterator[str]:
     """Yield what a turn did, in a few words each."""
     if any(write.row["tool"] == "plan" and write.row["accepted"] for write in writes):
@@ -240,11 +251,23 @@ def _deeds(
     if len(looks) > _NAMES:
         yield f"looked {len(looks)} times"
     else:
-        yield from (f"looked at {look_words(look)}" for look in looks)
+        yield from (f"looked at {look}" for look in looks)
     finals = [call for call in calls if call.text.startswith("final_answer")]
     yield from (f"final answer {'refused' if call.refused else 'accepted'}" for call in finals)
     if refused := sum(not write.row["accepted"] for write in writes if write.row["tool"] != "final_answer"):
         yield f"{refused} refused"
+
+
+def _purpose(look: Look, due: Sequence[AdvisedLook]) -> str:
+    """Return a look in words, with the reason if it is one of the looks that were due after the turn's writes."""
+    # A look that repeats an earlier look is turned aside by a few degrees.
+    near = (
+        one.reason
+        for one in due
+        if one.frame_id == f"{look.frame:06d}" and angle_error(one.angle_deg, look.angle or 0.0) < _ASIDE_DEG
+    )
+    reason = next(near, "")
+    return f"{look_words(look)} ({reason})" if reason else look_words(look)
 
 
 def look_words(look: Look) -> str:

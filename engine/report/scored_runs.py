@@ -168,7 +168,7 @@ def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
         runs: Scored runs.
 
     Returns:
-        The text for each run id, such as `marker: seed 3, wrong_box 0.1`. A text is empty if no setting differs.
+        The text for each run id, such as `simulated: seed 3, box 0.1`. A text is empty if no setting differs.
     """
     leaves = [(run.manifest, dict(_leaves((), run.manifest.settings))) for run in runs]
     alike: dict[tuple[str, str], list[dict[Path, str]]] = {}

@@ -5,21 +5,28 @@ Predictions are scored by the module `judge`, which reads the private files: ans
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+import tempfile
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
+from jrdb_avr.agent.model.messages import jpeg_picture
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.run.opaque import opaque_names
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import select_questions
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
-from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 
 
 class Bench:
@@ -139,6 +146,9 @@ class Bench:
         return Episode(self.task(question_id, record), budget=budget)
 
 
+_GREY: Final = 105
+"""Grey level of the pictures of sequences without panoramas."""
+
 _LABELS_BESIDE: Final = ("image_stitched", "images")
 """Names of the folders between the panoramas and JRDB's root folder, innermost first. Labels are also in the root."""
 
@@ -172,3 +182,35 @@ def find_images(store: Store, images: str | Path | None) -> str | None:
     if store.question_path("questions").exists() and not (store.path / "store.json").exists():
         raise StoreError(f"{store.path} has no store.json, which names the panoramas: give their folder by --images")
     return store.manifest().image_root
+
+
+@contextlib.contextmanager
+def with_grey_pictures(store: Store, image_root: str | None) -> Iterator[str | None]:
+    """Yield a folder of panoramas in which each sequence without panoramas has grey ones, for simulated runs.
+
+    Args:
+        store: The store.
+        image_root: The folder that has one folder of panoramas per sequence, or None.
+
+    Yields:
+        `image_root` itself if no sequence lacks panoramas, otherwise a temporary folder.
+    """
+    infos = read_sequences(store)
+    folders = {} if image_root is None else {name: Path(image_root, name).resolve() for name in infos}
+    lacking = [name for name in infos if name not in folders or not any(folders[name].glob("*.jpg"))]
+    if not lacking:
+        yield image_root
+        return
+    shown = f"{len(lacking)} of {len(infos)} sequences have no panoramas"
+    warnings.warn(f"{shown}: the simulated model gets grey pictures of them", AvrWarning, stacklevel=4)
+    with tempfile.TemporaryDirectory() as folder:
+        grey = Path(folder, "grey.jpg")
+        grey.write_bytes(jpeg_picture("grey", np.full((HEIGHT, WIDTH, 3), _GREY, np.uint8), {}).data)
+        for name in infos:
+            if name not in lacking:
+                Path(folder, name).symlink_to(folders[name])
+                continue
+            Path(folder, name).mkdir()
+            for frame in infos[name].frames:
+                Path(folder, name, f"{frame:06d}.jpg").symlink_to(grey)
+        yield folder

@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -19,7 +20,7 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import DEFAULTS, EndpointOptions
 from jrdb_avr.agent.preflight import preflight, require
-from jrdb_avr.agent.simulated.knobs import Knobs, profile_of
+from jrdb_avr.agent.simulated.profiles import Errors, profile_of
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
 from jrdb_avr.schema.repeats import USUAL_REPEATS
@@ -62,8 +63,9 @@ class Endpoint:
             EndpointError: If the server does not reply, if `strict` is true and a check that must pass fails, or if
                 the model was calibrated with other options.
         """
-        declared = convention_of(model)
-        self.convention = declared if calibration is None else calibration.convention(declared)
+        convention = convention_of(model)
+        self.convention = convention if calibration is None else calibration.convention(convention)
+        options = declared(model, options)
         self.repeats = USUAL_REPEATS if calibration is None else calibration.repeats
         self.client = Client(base_url, model, options, convention=self.convention, cache=cache)
         checks = preflight(self.client)
@@ -97,28 +99,37 @@ class Endpoint:
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 
 
+def declared(model: str, options: EndpointOptions) -> EndpointOptions:
+    """Return the options, declared simulated if the name of the model says so."""
+    return options if profile_of(model) is None else replace(options, simulated=True)
+
+
 @contextlib.contextmanager
-def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None) -> Iterator[str]:
+def serving(
+    model: str, base_url: str | None, store: Store | None = None, errors: Errors | None = None
+) -> Iterator[str]:
     """Yield the address of a model's server. A server that this function starts is stopped after the `with` block.
 
     Args:
         model: The id of the model.
         base_url: The address of a running server. None starts the server of the simulated model.
-        log: The log file of the simulated model. None writes no log.
-        knobs: The knobs of the simulated model. Default: the knobs of the profile that `model` names.
+        store: The store with the annotations that the simulated model reads. Without it, the model passes only checks.
+        errors: The errors of the simulated model. None takes the profile that `model` names.
 
     Yields:
         The address.
 
     Raises:
         EndpointError: If `base_url` is None and the model is not the simulated model.
+        StoreError: If the store has no annotations for the simulated model.
     """
-    from jrdb_avr.agent.simulated.server import marker_server
-
     if base_url is not None:
         yield base_url
-    elif (profile := profile_of(model)) is not None:
-        with marker_server(log, knobs or profile) as url:
+    elif profile_of(model) is not None:
+        from jrdb_avr.agent.simulated.server import simulated_server
+        from jrdb_avr.agent.simulated.sight import Sight
+
+        with simulated_server(None if store is None else Sight(store), errors) as url:
             yield url
     else:
         raise EndpointError(f"--model {model} needs --base-url, the address of the server that has it")

@@ -22,11 +22,11 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.prices import Price
-from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
+from jrdb_avr.agent.simulated.profiles import Errors, changed_errors, parse_errors, profile_of
+from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.answering import answer_all
-from jrdb_avr.engine.run.bench import Bench, find_images
+from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
 from jrdb_avr.engine.run.journal import world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
@@ -42,12 +42,14 @@ from jrdb_avr.engine.run.methods import (
     make_method,
     open_world,
 )
-from jrdb_avr.engine.run.opaque import key_fingerprint
 from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
+from jrdb_avr.queries.beliefs.graph import open_graph
+from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
+from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
+from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
@@ -147,27 +149,30 @@ def evaluate(
     """
     store = Store.of(store)
     check_options(method, model, options)
-    playing, files, knobs = options.method, options.run, _knobs(model, options)
+    playing, files, errors = options.method, options.run, _errors(model, options)
+    simulated = errors is not None or options.endpoint.simulated
     run_id = name_run(store, method, model, options)
     image_root = find_images(store, files.images)
-    chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
-    bench = Bench(store, chosen, image_root, playing.opaque)
     with contextlib.ExitStack() as stack:
+        if simulated:
+            image_root = stack.enter_context(with_grey_pictures(store, image_root))
+        chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
+        bench = Bench(store, chosen, image_root, playing.opaque)
         run = stack.enter_context(Run(store, run_id))
-        world = stack.enter_context(_open_world(store, run, method, files.world_db))
+        world = stack.enter_context(_open_world(run, method))
         endpoint = None
         if model != NO_MODEL:
-            endpoint = stack.enter_context(_connect(run, method, model, options, knobs))
+            endpoint = stack.enter_context(_connect(run, method, model, options, errors))
         player = _make(method, endpoint, world, playing)
         settings = {
             "method": player.settings(),
             **({} if endpoint is None else endpoint.settings),
-            **({"marker": turned(knobs)} if knobs not in (None, PERFECT) else {}),
+            **({} if errors is None else {"simulated": changed_errors(errors)}),
             **({"opaque": key_fingerprint(store)} if playing.opaque else {}),
             **({} if files.epoch is None else {"epoch": files.epoch}),
         }
         ids = [question.question_id for question in chosen]
-        manifest = run.start(player.name, model, ids, settings, knobs is not None or bench.synthetic, selection)
+        manifest = run.start(player.name, model, ids, settings, simulated or bench.synthetic, selection)
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         advance = step_counter(progress, f"{_name(method)}, {model}", len(chosen))
@@ -176,6 +181,7 @@ def evaluate(
         if world is not None:
             # The counts are written before the tables, because a run with the table `predictions` counts as complete.
             add_world_counts(store, run_id, world.graph.counts)
+            _merge_world(run)
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
             warnings.warn(changed, AvrWarning, stacklevel=2)
@@ -198,17 +204,16 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
         raise InputError(f"{method!r} is not one of {', '.join(METHODS)}, FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
         raise InputError(f"--model none: {method} needs a model", field="model")
-    if playing.marker is not None and (profile_of(model) is None or endpoint.base_url is not None):
+    if playing.simulate and (profile_of(model) is None or endpoint.base_url is not None):
         raise InputError(
-            "--marker configures the simulated model: give it only with --model simulated, and without --base-url",
-            field="marker",
+            "--simulate configures the simulated model: give it only with --model simulated, and without --base-url",
+            field="simulate",
         )
+    _errors(model, options)
     if playing.advice == "off" and method != ADVISED:
         raise InputError(f"--advice off works only with the method {ADVISED}", field="advice")
     if playing.history is not None and method not in CHATS:
         raise InputError(f"--history works only with {' and '.join(CHATS)}", field="history")
-    if options.run.world_db is not None and method not in WORLD_METHODS:
-        raise InputError(f"--world-db: the method {method} has no world model", field="world_db")
     if selection.shard is not None and not 1 <= selection.shard[0] <= selection.shard[1]:
         raise InputError("--shard I/N: I is a number from 1 to N", field="shard")
 
@@ -250,22 +255,22 @@ def _name(method: str | Method) -> str:
     return method if isinstance(method, str) else method.name
 
 
-def _knobs(model: str, options: EvaluateOptions) -> Knobs | None:
-    """Return the knobs of the simulated model, or None for any other model. The seed differs in each epoch."""
+def _errors(model: str, options: EvaluateOptions) -> Errors | None:
+    """Return the errors of the simulated model, or None for any other model. The seed differs in each epoch."""
     if (profile := profile_of(model)) is None:
         return None
-    knobs = options.method.marker or profile
+    errors = parse_errors(options.method.simulate, profile)
     epoch = options.run.epoch
-    return knobs if epoch is None else msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
+    return errors if epoch is None else msgspec.structs.replace(errors, seed=errors.seed + epoch - 1)
 
 
 @contextlib.contextmanager
 def _connect(
-    run: Run, method: str | Method, model: str, options: EvaluateOptions, knobs: Knobs | None
+    run: Run, method: str | Method, model: str, options: EvaluateOptions, errors: Errors | None
 ) -> Iterator[Endpoint]:
     """Check the server of a model, issue a warning for each failed check, and yield the server."""
     folder, endpoint = run.store.run_path(run.run_id), options.endpoint
-    with serving(model, endpoint.base_url, folder / "marker.jsonl", knobs) as url:
+    with serving(model, endpoint.base_url, run.store, errors) as url:
         calibration = read_calibration(run.store, model)
         journal, strict = folder / "calls.jsonl", options.run.strict_preflight
         checked = Endpoint(calibration, model, url, endpoint, journal, _name(method), strict)
@@ -287,25 +292,21 @@ def _make(
     return make_method(method, endpoint.client, endpoint.convention, world, advice, options.history)
 
 
-@contextlib.contextmanager
-def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
-    """Yield the run's world model, which has all facts of the run's journal.
-
-    If the method has no world model, yield None.
-    """
+def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextManager[WorldModel | None]:
+    """Return the context of the run's world model, or of None if the method has no world model."""
     if method not in WORLD_METHODS:
-        yield None
+        return contextlib.nullcontext()
+    return open_world(run.store.run_path(run.run_id), run.run_id)
+
+
+def _merge_world(run: Run) -> None:
+    """Merge the world models of a finished run into the store's graph. Issue a warning if the graph is in use."""
+    store = run.store
+    if not store.graph_path.exists():
         return
-    if world_db is None and not store.graph_path.exists():
-        raise StoreError(
-            f"{store.path} has no graph for the agent's world model: name another graph file with --world-db FILE"
-        )
-    path = world_db or store.graph_path
     try:
-        with open_world(path, run.run_id, world_rows(run.run_id, run.finished)) as world:
-            yield world
+        with open_graph(store.graph_path) as graph:
+            merge_world(graph, run.run_id, world_rows(run.run_id, run.finished))
     except LockedError as error:
-        raise LockedError(
-            f"{path} is in use by {error.holder}: wait for it, or name another graph file with --world-db FILE",
-            holder=error.holder,
-        ) from None
+        text = f"{store.graph_path} is in use by {error.holder}, so the graph lacks the world models of {run.run_id}"
+        warnings.warn(f"{text}: repeat the command with --resume to add them", AvrWarning, stacklevel=3)

@@ -21,11 +21,9 @@ from typing import TYPE_CHECKING, Any, Final
 from jrdb_avr.schema.errors import InputError
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
+    from jrdb_avr.agent.world.episode import WorldModel
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
@@ -53,29 +51,31 @@ ADVISED: Final = "agent"
 
 
 @contextlib.contextmanager
-def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel]:
-    """Yield the world model of a run, which is in a graph file. Close the file at the end of the `with` block.
+def open_world(folder: Path, run_id: str) -> Iterator[WorldModel]:
+    """Yield the world model of a run. It has a graph file of its own, which is deleted at the end of the `with` block.
 
     Args:
-        path: The graph file. If it is missing, a new file is made.
+        folder: The folder of the run.
         run_id: The id of the run.
-        record: The run's rows of the table `world` so far. Facts that the graph lacks are first written to the graph.
 
     Yields:
         The world model.
 
     Raises:
-        LockedError: If another process has the graph open.
-        StoreError: If the graph file cannot be opened.
+        StoreError: If the graph file cannot be made.
     """
-    from jrdb_avr.agent.beliefs.world_model import WorldModel
-    from jrdb_avr.queries.beliefs.graph import WorldGraph, open_graph
-    from jrdb_avr.queries.beliefs.record import restore_world
+    from jrdb_avr.agent.world.episode import WorldModel
+    from jrdb_avr.queries.beliefs.graph import WorldGraph
+    from jrdb_avr.queries.graph.handle import remove_graph
 
-    with open_graph(path) as graph:
-        restore_world(graph, run_id, record)
-    with WorldGraph.open(path) as world:
-        yield WorldModel(world, run_id)
+    path = folder / "world.kuzu"
+    # An interrupted run may have left a file. Its finished questions are in the journal.
+    remove_graph(path)
+    try:
+        with WorldGraph.open(path) as world:
+            yield WorldModel(world, run_id)
+    finally:
+        remove_graph(path)
 
 
 def make_method(

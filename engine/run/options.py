@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from jrdb_avr.agent.model.options import DEFAULTS as DEFAULT_ENDPOINT
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.option import Options, option
-
-if TYPE_CHECKING:
-    from jrdb_avr.agent.simulated.knobs import Knobs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +95,10 @@ class MethodOptions(Options):
         False,
         "Replace the names of sequences by hashes in all that the method sees. All runs of a store share the hashes.",
     )
-    marker: Knobs | None = option(
-        None,
-        "Change one setting (knob) of the simulated model, such as wrong_box=0.1, ids=off or seed=3. docs/models.md "
-        "lists the knobs. May be repeated.",
+    simulate: tuple[str, ...] = option(
+        (),
+        "Change one setting of the simulated model, such as box=0.1 or seed=3. docs/models.md lists the settings. May "
+        "be repeated.",
         metavar="KEY=VALUE",
     )
 
@@ -114,7 +111,7 @@ class RunOptions(Options):
     such a run ends in its epoch. In each epoch, the simulated model has another seed.
     """
 
-    run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL, such as react-marker or human-ada.")
+    run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL, such as react-simulated or human-ada.")
     resume: bool = option(
         False,
         "Continue a run that was stopped. Questions that ended in an error are asked again. If more questions are "
@@ -123,11 +120,6 @@ class RunOptions(Options):
     concurrency: int = option(16, "Maximum number of questions answered at the same time.", minimum=1, maximum=64)
     images: Path | None = option(
         None, "Folder of the panoramas, with one folder per sequence. Default: the folder recorded in the store."
-    )
-    world_db: Path | None = option(
-        None,
-        "Graph file for the agent's world model, instead of the store's graph. Needed if other runs use the store's "
-        "graph at the same time, or if the store is public.",
     )
     strict_preflight: bool = option(
         False, "Refuse the run if the server fails a check that the method needs. Default: only print a warning."

@@ -16,9 +16,9 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.engine.run.bench import find_images
-from jrdb_avr.engine.run.opaque import opaque_names, rename_sequences
 from jrdb_avr.queries.files import new_folder
 from jrdb_avr.queries.manifest import Manifest
+from jrdb_avr.queries.opaque import opaque_names, rename_sequences
 from jrdb_avr.queries.questions import HIDDEN
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.errors import AvrWarning, StoreError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Final
@@ -26,8 +25,6 @@ _SHARED: Final = (
 _JOINT_NAME: Final = {"running": "moving", "skating": "moving", "scootering": "moving", "eating sth": "eating"}
 """What two people do together, where it has another name than what each of them does."""
 _WELCOMES: Final = ("hugging", "shaking hand", "waving hand together")
-_RARITY: Final = {"conversation": 1, "sitting together": 1, "walking together": 2, "standing together": 2}
-"""The most common labels; all others are 0."""
 
 
 class RelationRuns:
@@ -82,28 +79,4 @@ def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> 
     upright = together & (script.pose[:, [a, b]] == POSE["standing"]).all(axis=1)
     for tick in np.flatnonzero(upright & (rng.random(len(upright)) < 0.02)).tolist():
         mark(one_of(rng, _WELCOMES), upright, tick, tick + 2)
-    return out
-
-
-def partners_at(runs: RelationRuns, tick: int, people: Ints) -> dict[int, tuple[int, int]]:
-    """Person -> (partner, label) on the marks at a tick, among these people.
-
-    A mark has room for one. Each relation shall be on the mark of one of its two people: those that bind a person to
-    one partner alone come first, rare labels before common ones; then free marks repeat what they take part in.
-    """
-    there = set(people.tolist())
-    pairs = [(a, b, label) for a, b, label, _ in runs.at(tick) if a in there and b in there]
-    partners = Counter((person, label) for a, b, label in pairs for person in (a, b))
-    rarity = [_RARITY.get(name, 0) for name in INTERACTIONS]
-    pairs.sort(key=lambda p: (min(partners[p[0], p[2]], partners[p[1], p[2]]), rarity[p[2]], p))
-    out: dict[int, tuple[int, int]] = {}
-    for a, b, label in pairs:
-        one, other = (a, b) if partners[a, label] <= partners[b, label] else (b, a)
-        if one not in out:
-            out[one] = other, label
-        elif other not in out:
-            out[other] = one, label
-    for a, b, label in pairs:
-        out.setdefault(a, (b, label))
-        out.setdefault(b, (a, label))
     return out

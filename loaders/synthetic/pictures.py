@@ -1,5 +1,6 @@
-"""Panoramas of a simulated sequence, from the farthest to the nearest: surroundings, partitions, things and people with
-their marks. The same strokes, with numbers for colours, give the segments of the panoptic layer.
+"""Draw the panoramas of a synthetic sequence: surroundings, partitions, things and people, the farthest first.
+
+The same strokes, with numbers for colours, give the segments of the panoptic layer.
 """
 
 from __future__ import annotations
@@ -13,18 +14,15 @@ import numpy.typing as npt
 
 from jrdb_avr.loaders.synthetic.backdrop import Backdrop
 from jrdb_avr.loaders.synthetic.figures import OWNER, Canvas, Figure, Held, draw_figure, draw_thing
-from jrdb_avr.loaders.synthetic.interactions import partners_at
 from jrdb_avr.loaders.synthetic.objects import BELOW, handled_at
-from jrdb_avr.loaders.synthetic.script import NONE, one_of
+from jrdb_avr.loaders.synthetic.script import one_of
 from jrdb_avr.loaders.synthetic.shapes import Color, shade
 from jrdb_avr.loaders.synthetic.skeleton import facing
 from jrdb_avr.loaders.synthetic.world import FARTHEST, FLOOR, World, body_rows
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import INTERACTIONS, OTHER_ACTIONS, POSES
-from jrdb_avr.schema.markers import ALONE, HEADING_STEP, MAX_DISTANCE_DM, MAX_GROUP, Mark, draw
-from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, Box, row_of_height
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
-from jrdb_avr.schema.things import VERBS
 
 _Image = npt.NDArray[np.uint8]
 
@@ -48,41 +46,6 @@ def panorama_frames(world: World, which: str) -> list[int]:
         starts = world.starts[1:-1]
         return sorted({*keyframes, *starts.tolist(), *(starts - 1).tolist()})
     return list({"none": range(0), "keyframes": keyframes, "all": range(world.frames)}[which])
-
-
-def marks_of(world: World, frame: int) -> dict[int, Mark]:
-    """The marks of the people present at a frame: the truth of the world, by place in `world.people`.
-
-    A group counts the people with a box: one left alone by the annotators' dropouts is alone.
-    """
-    out = {}
-    boxed = world.boxed[frame]
-    counted = world.cluster[frame, boxed].tolist()
-    tick = int(world.tick[frame])
-    partners = partners_at(world.interactions, tick, np.flatnonzero(boxed))
-    handled = {person: (thing, verb) for person, thing, verb, _ in reversed(handled_at(world.things.handling, tick))}
-    for i in np.flatnonzero(world.present[frame]).tolist():
-        person, cluster = world.people[i], int(world.cluster[frame, i])
-        heading, distance = np.degrees(world.motion.heading[frame, i]), round(float(world.distance[frame, i]) * 10)
-        partner, label = partners.get(i, (None, None))
-        thing, verb = handled.get(i, (None, None))
-        out[i] = Mark(
-            identity=person.identity,
-            gender=person.gender,
-            age=person.age,
-            pose=POSES[int(world.pose[frame, i])],
-            actions=tuple(
-                OTHER_ACTIONS[action] for action in sorted(world.actions[frame, i].tolist()) if action != NONE
-            ),
-            group=cluster % MAX_GROUP + 1 if counted.count(cluster) > 1 else ALONE,
-            distance_dm=distance if distance <= MAX_DISTANCE_DM else None,
-            heading_deg=round(heading / HEADING_STEP) * HEADING_STEP % 360,
-            partner=None if partner is None else world.people[partner].identity,
-            interaction=None if label is None else INTERACTIONS[label],
-            object=None if thing is None else world.things.things[thing].category,
-            verb=None if verb is None else VERBS[verb],
-        )
-    return out
 
 
 class Segments(NamedTuple):
@@ -112,13 +75,9 @@ class Painter:
     def paint(self, frame: int) -> _Image:
         """The panorama (480, 3760, 3), RGB."""
         image: _Image = np.roll(self._backdrop.image, self._turn(frame), axis=1)
-        marks = marks_of(self._world, frame)
         carried = self._carried(frame)
         for kind, index in self._from_far(frame):
             self._draw(Canvas(image), frame, kind, index, carried)
-            # Who has no box in the labels carries no mark: no question or answer could be about it.
-            if kind == _PERSON and self._world.boxed[frame, index]:
-                draw(image, Box(*self._world.boxes[frame, index].tolist()), marks[index])
         return image
 
     def segment(self, frame: int) -> npt.NDArray[np.uint16]:

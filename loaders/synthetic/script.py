@@ -72,7 +72,7 @@ def runs_of(where: Bools) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Person:
-    """The constant properties of a person. `identity` is the number on the mark; it does not depend on `track`."""
+    """The constant properties of a person. `identity` chooses the colours and does not depend on `track`."""
 
     track: int
     identity: int

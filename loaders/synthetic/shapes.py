@@ -1,6 +1,6 @@
 """Sizes, colours and parts of the things of the sample world: what stands in it and what people hold.
 
-Colours are RGB and stay below the brightness that only a mark's plate has.
+Colours are RGB.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""`world.parquet` -> the world namespace of a graph: the record of runs' world models, replayed.
+"""Replay `world.parquet`, the record of a run's world models, into a graph.
 
-The record holds every write of an agent, accepted or refused, in order, each with the rows that it put into the tables
-(`schema/beliefs.py`). Replay is a pure function from these rows to the rows of the tables as they were when the run had
-ended, which are then copied in: the same tables as the run itself wrote, write by write.
+The record holds every write of an agent, accepted or refused, in order. Each row has the rows that the write added to
+the world tables (`schema/beliefs.py`). A replay gives the same tables as the run itself wrote.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -25,14 +25,14 @@ from jrdb_avr.schema.tables import RUNS
 _LINE: Final = ("run_id", "question_id", "number", "step", "tool", "arguments", "accepted", "reason")
 
 BATCH_WRITES: Final = 150_000
-"""Writes from which on runs are copied: every further COPY of a table of edges rewrites what is there, and a million
-writes at once would take gigabytes."""
+"""Number of writes after which runs are copied, because a COPY rewrites its table and holds all its rows in memory."""
 
 
 def read_record(store: Store, run_id: str) -> pa.Table:
-    """The world rows of a finished run.
+    """Return the world rows of a finished run.
 
-    Raises StoreError where the file is missing, broken or of another form, or holds writes of another run.
+    Raises:
+        StoreError: If the file is missing or broken, has other columns, or has writes of another run.
     """
     path, schema = store.run_path(run_id) / "world.parquet", RUNS["world"]
     rows = read_table(path)
@@ -48,40 +48,43 @@ def read_record(store: Store, run_id: str) -> pa.Table:
 # -- replay -----------------------------------------------------------------------------------------------------------
 
 
-def replayed(record: pa.Table) -> dict[str, pa.Table]:
-    """The tables of the world namespace that hold what a record says, by name, nodes first.
+def replay(record: pa.Table) -> dict[str, pa.Table]:
+    """Return the world tables that a record describes.
 
-    Columns are as in the graph; edges begin with the two keys, `from` and `to`. Raises StoreError for a record that
-    no run can have written: a fact of no known form, a write twice, a row of another episode, an edge to nothing.
+    Args:
+        record: Rows of `world.parquet`.
+
+    Returns:
+        The tables by name, nodes first. Edges begin with the two keys, `from` and `to`.
+
+    Raises:
+        StoreError: If no run can have written the record.
     """
     record = record.sort_by([("run_id", "ascending"), ("question_id", "ascending"), ("number", "ascending")])
-    tables: dict[str, list[tuple[Any, ...]]] = {name: [] for name in (*WORLD_NODES, *WORLD_RELS)}
+    rows: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
     columns = [record[name].to_pylist() for name in _LINE]
-    episode: EpisodeRows | None = None
+    episodes: dict[tuple[str, str], EpisodeRows] = {}
     for (run, question, *line), fact in zip(zip(*columns, strict=True), _facts(record["fact"]), strict=True):
-        if episode is None or (episode.run, episode.question) != (run, question):
-            if episode is not None:
-                episode.add_to(tables)
-            episode = EpisodeRows(run, question)
-        number, step, *_ = line
-        episode.apply(number, step, fact)
-        key = f"{episode.key}/{number}"
-        tables["Write"].append((key, episode.key, *line))
-        tables["Wrote"].append((episode.key, key))
-    if episode is not None:
-        episode.add_to(tables)
-    return {name: _arrow(world_schema(name), rows) for name, rows in tables.items()}
+        episode = episodes.setdefault((run, question), EpisodeRows(run, question))
+        episode.apply(line[0], fact)
+        key = f"{episode.key}/{line[0]}"
+        rows["Write"].append((key, episode.key, *line))
+        rows["Wrote"].append((episode.key, key))
+    for episode in episodes.values():
+        for table, added in episode.tables().items():
+            rows[table] += added
+    return {name: _arrow(world_schema(name), rows[name]) for name in (*WORLD_NODES, *WORLD_RELS)}
 
 
 def _facts(texts: pa.ChunkedArray) -> Iterator[Fact | None]:
-    """Decoded all at once: a call per row would cost more than the decoding."""
+    """Yield the facts. All are decoded together, because a call per row would cost more than the decoding."""
     joined = ",".join(text or "null" for text in texts.to_pylist())
     try:
         facts = msgspec.json.decode(f"[{joined}]".encode(), type=list[Fact | None])
     except (msgspec.DecodeError, UnicodeEncodeError) as error:
-        raise StoreError(f"a record of a world model holds what is no fact ({error})") from None
+        raise StoreError(f"a record of a world model has an unreadable fact ({error})") from None
     if len(facts) != len(texts):
-        raise StoreError("a record of a world model holds two facts in one write")
+        raise StoreError("a record of a world model has two facts in one write")
     return iter(facts)
 
 
@@ -89,8 +92,8 @@ def _arrow(schema: pa.Schema, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
     if not rows:
         return schema.empty_table()
     arrays = [
-        _boxes(column) if pa.types.is_struct(f.type) else pa.array(column, f.type)
-        for f, column in zip(schema, zip(*rows, strict=True), strict=True)
+        _boxes(column) if pa.types.is_struct(field.type) else pa.array(column, field.type)
+        for field, column in zip(schema, zip(*rows, strict=True), strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
 
@@ -105,16 +108,22 @@ def _boxes(column: Sequence[tuple[float, float, float, float]]) -> pa.Array:
 
 
 def merge_world(graph: Graph, run_id: str, record: pa.Table) -> None:
-    """Replay a record in place of what a graph holds of its run; nothing is changed where `replayed` refuses it."""
-    tables = replayed(record)
+    """Replace the rows of a run in a graph by a replay of its record.
+
+    Raises:
+        StoreError: If the record cannot be replayed. Then nothing is changed.
+    """
+    tables = replay(record)
     with graph.transaction():
         drop_world(graph, run_id)
         _copy(graph, [tables])
 
 
 def copy_all(graph: Graph, store: Store, run_ids: Sequence[str]) -> list[str]:
-    """Replay the records of a store's runs into a graph without episodes; returns a line per run that was left out,
-    as its record is broken. A run without a record yet is passed over.
+    """Replay the records of a store's runs into a graph without episodes. Skip runs without a record.
+
+    Returns:
+        One line for each run that was left out, because its record is broken.
     """
     faults: list[str] = []
     batch: list[Mapping[str, pa.Table]] = []
@@ -122,7 +131,7 @@ def copy_all(graph: Graph, store: Store, run_ids: Sequence[str]) -> list[str]:
         if not (store.run_path(run_id) / "world.parquet").exists():
             continue
         try:
-            batch.append(replayed(read_record(store, run_id)))
+            batch.append(replay(read_record(store, run_id)))
         except StoreError as error:
             faults.append(f"the world model of run {run_id} was left out: {error}")
         if sum(tables["Write"].num_rows for tables in batch) >= BATCH_WRITES:
@@ -132,39 +141,10 @@ def copy_all(graph: Graph, store: Store, run_ids: Sequence[str]) -> list[str]:
     return faults
 
 
-def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
-    """Bring a run's episodes in a graph to what its record says: replay those that it lacks or holds in part, take away
-    those that the record does not hold. Returns how many were replayed.
-
-    Their number of writes tells: the record holds episodes that have ended, and what a write made is in the graph
-    before its line, so where the numbers are equal, nothing is missing and nothing over. Raises StoreError as
-    `replayed` does.
-    """
-    there = writes_held(graph, run_id)
-    counts = record.group_by("question_id").aggregate([("number", "count")]).to_pylist()
-    recorded = {row["question_id"]: row["number_count"] for row in counts}
-    lacking = [question for question, writes in recorded.items() if there.get(question) != writes]
-    tables = replayed(record.filter(pc.is_in(record["question_id"], pa.array(lacking, pa.string()))))
-    stale = [question for question, writes in there.items() if recorded.get(question) != writes]
-    with graph.transaction():
-        if stale:
-            drop_world(graph, run_id, stale)
-        _copy(graph, [tables])
-    return len(lacking)
-
-
-def writes_held(graph: Graph, run_id: str) -> dict[str, int]:
-    """The number of writes that a graph holds of each of a run's episodes, by question id."""
-    rows = graph.query(read_statement("record/writes_held.cypher"), {"run": run_id}).to_pylist()
-    return {row["question"]: row["writes"] for row in rows}
-
-
-def drop_world(graph: Graph, run_id: str, questions: Sequence[str] | None = None) -> None:
-    """Take a run's episodes out of a graph: all, or those of some questions."""
-    # An empty list is no parameter that the engine can bind.
-    values = {"run": run_id, "whole": questions is None, "questions": list(questions or ("",))}
-    for what in ("writes", "entities", "observations", "slots", "hypotheses", "episodes"):
-        graph.execute(read_statement(f"record/drop_{what}.cypher"), values)
+def drop_world(graph: Graph, run_id: str) -> None:
+    """Delete the rows of a run from a graph."""
+    for name in ("writes", "entities", "looks", "slots", "hypotheses", "episodes"):
+        graph.execute(read_statement(f"record/drop_{name}.cypher"), {"run": run_id})
 
 
 def _copy(graph: Graph, runs: Sequence[Mapping[str, pa.Table]]) -> None:

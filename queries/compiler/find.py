@@ -119,14 +119,11 @@ class _Pattern:
         for name, clause, at in self._clauses(node, edges):
             where.append(clause.could.format(**at))
             holds[f"{name}_sure"] = clause.sure.format(**at)
-        matches = [space.pattern.format(**at) for at in bound]
+        seen[-1] += where
         sightings = [] if node in self.things else [at["s"] for at in bound]
-        if len(bound) > 1 and any(self.plan.times[time].is_moment for time in times):
-            # Each sighting has its own MATCH, because one pattern of all needs memory for every combination of frames.
-            steps = [(match, " AND ".join(tests)) for match, tests in zip(matches, seen, strict=True)]
-            return [*steps[:-1], (steps[-1][0], " AND ".join([*seen[-1], *where]))], sightings, holds
-        tests = [*(text for group in reversed(seen) for text in group), *where]
-        return [(", ".join(matches), " AND ".join(tests))], sightings, holds
+        # One pattern of all sightings would need memory for every combination of frames.
+        matches = [(space.pattern.format(**at), " AND ".join(tests)) for at, tests in zip(bound, seen, strict=True)]
+        return matches, sightings, holds
 
     def _times(self, node: str) -> list[str]:
         return times_of(self.plan, node, group_events_of(self.plan, node))

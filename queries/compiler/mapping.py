@@ -1,7 +1,6 @@
 """Mapping from plans to the scene in a graph: patterns, clauses of conditions and edges, and their values.
 
-Facts of a scene are true, false or unknown. Beliefs of an agent are never false, so `believed` compiles them
-differently.
+Facts of a scene are true, false or unknown.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 from jrdb_avr.schema.things import VERBS
 
-PersonId = int | str
-"""Person in a scope: the number of a track, or the name of an entity."""
+PersonId = int
+"""Person in a sequence: the number of a track."""
 
 
 @dataclass(frozen=True)

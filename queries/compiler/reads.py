@@ -1,8 +1,7 @@
 """Reads of people who are found. One statement per kind of fact reads many people together.
 
-The statements are in `queries/reads/<namespace>/*.cypher`. Only counts are compiled here, from the clauses of an edge.
-Results are by id of the plan, and unknown results are missing. The solver uses a `Reader`: `SceneReader` reads the
-annotations, and `beliefs.BeliefReader` reads the beliefs of an agent.
+The statements are in `queries/reads/scene/*.cypher`. Only counts are compiled here, from the clauses of an edge.
+Results are by id of the plan, and unknown results are missing.
 """
 
 from __future__ import annotations
@@ -11,9 +10,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
-from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.changes import first_change, read_states
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
 from jrdb_avr.queries.compiler.mapping import BOXED, PEOPLE, PersonId, edge_kind, edge_values
@@ -34,9 +32,6 @@ _STATES: Final = ("boxes", "memberships")
 
 _COUNTED: Final = 32
 """Maximum number of counts of one statement, because the memory of the engine is bounded."""
-
-Queryable = Graph | WorldGraph
-"""Graph that runs statements."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +97,8 @@ Offers = Sequence[tuple[Person, int, str, Sequence[str]]]
 """People, each with a frame, an attribute or "action", and the offered actions."""
 
 
-class Reader(Protocol):
-    """Reader of facts about people in a graph.
+class SceneReader:
+    """Reader of facts about people from the annotations in a graph.
 
     Attributes:
         graph: Graph.
@@ -111,9 +106,21 @@ class Reader(Protocol):
         values: Values of the parameters of statements, except `$plans`, by name.
     """
 
-    graph: Queryable
-    timeout_s: float
-    values: Mapping[str, Any]
+    def __init__(self, graph: Graph, rules: LoadRules, timeout_s: float = _TIMEOUT_S) -> None:
+        self.graph, self.timeout_s = graph, timeout_s
+        grid = read_statement("reads/scene/grid.cypher")
+        self._grid = cache(lambda scope: next(iter(self.query(grid, {"scopes": [scope]})), None))
+        self._states = cache(lambda scope: read_states(*(self._read_all(name, scope) for name in _STATES)))
+        self.values = {
+            "margin": rules.neighbor_margin_deg,
+            "sector_true": rules.sector_true_deg + SLACK,
+            "sector_false": rules.sector_false_deg + SLACK,
+            "least": frames(rules.segment_min_s),
+            "edge": frames(rules.segment_edge_s),
+            "quiet": frames(rules.segment_quiet_s),
+            "in_view": rules.visibility == "clear",
+            "flickering": sorted(FLICKERING) if rules.visibility == "clear" else [""],
+        }
 
     def find(self, plan: Plan) -> Find:
         """Return the statement that finds the people of a plan.
@@ -121,13 +128,33 @@ class Reader(Protocol):
         Raises:
             PlanError: If the plan cannot be compiled.
         """
-
-    def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
-        """Return the outcome of the rows of a statement of `find`."""
+        return compile_find(plan)
 
     def rows(self, find: Find, plan: Plan, scope: str) -> list[dict[str, Any]]:
         """Return the rows of a plan in `$plans`: one for each combination of changes of groups at its events."""
-        return [{"scope": scope, **find.row}]
+        rows: list[tuple[dict[str, int], dict[str, Any]]] = [({}, {"scope": scope, **find.row})]
+        for variable, name in find.events.items():
+            time = plan.times[name]
+            after, person = plan.times[time.after or ""].frame or 0, time.of or ""
+            changes = {
+                who: first_change(states, after, time.event == "joins_group")
+                for who, states in self._states(scope).items()
+            }
+            rows = [
+                (who | {person: track}, row | {variable: frame, f"{variable}_who": track, f"{variable}_sure": sure})
+                for who, row in rows
+                for track, (frames, sure) in changes.items()
+                if who.get(person, track) == track
+                for frame in frames
+            ]
+        return [row for _, row in rows]
+
+    def _read_all(self, name: str, scope: str) -> list[dict[str, Any]]:
+        return self.query(read_statement(f"reads/scene/{name}.cypher"), {"scopes": [scope]})
+
+    def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
+        """Return the outcome of the rows of a statement of `find`."""
+        return outcome_of_people(find, rows)
 
     def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
         """Run a compiled statement.
@@ -162,74 +189,6 @@ class Reader(Protocol):
 
     def values_at(self, queries: Offers) -> dict[int, str]:
         """Return an attribute of people, or their only true action among those offered. All others must be false."""
-
-    def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
-        """Return presence and distance, by id of the plan and frame."""
-
-    def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
-        """Return the first start of an action after a frame."""
-
-    def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
-        """Return the frames before and after the first absence after a frame."""
-
-    def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
-        """Return the posture that follows the posture at a frame, and the last frame with the first posture."""
-
-    def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        """Return the number of people in a relation with a person at any frame from the first to the last."""
-
-
-class SceneReader(Reader):
-    """Reader of the annotations."""
-
-    def __init__(self, graph: Queryable, rules: LoadRules, timeout_s: float = _TIMEOUT_S) -> None:
-        self.graph, self.timeout_s = graph, timeout_s
-        grid = read_statement("reads/scene/grid.cypher")
-        self._grid = cache(lambda scope: next(iter(self.query(grid, {"scopes": [scope]})), None))
-        self._states = cache(lambda scope: read_states(*(self._read_all(name, scope) for name in _STATES)))
-        self.values = {
-            "margin": rules.neighbor_margin_deg,
-            "sector_true": rules.sector_true_deg + SLACK,
-            "sector_false": rules.sector_false_deg + SLACK,
-            "least": frames(rules.segment_min_s),
-            "edge": frames(rules.segment_edge_s),
-            "quiet": frames(rules.segment_quiet_s),
-            "in_view": rules.visibility == "clear",
-            "flickering": sorted(FLICKERING) if rules.visibility == "clear" else [""],
-        }
-
-    def find(self, plan: Plan) -> Find:
-        """See `Reader.find`."""
-        return compile_find(plan)
-
-    def rows(self, find: Find, plan: Plan, scope: str) -> list[dict[str, Any]]:
-        """See `Reader.rows`."""
-        rows: list[tuple[dict[str, int], dict[str, Any]]] = [({}, {"scope": scope, **find.row})]
-        for variable, name in find.events.items():
-            time = plan.times[name]
-            after, person = plan.times[time.after or ""].frame or 0, time.of or ""
-            changes = {
-                who: first_change(states, after, time.event == "joins_group")
-                for who, states in self._states(scope).items()
-            }
-            rows = [
-                (who | {person: track}, row | {variable: frame, f"{variable}_who": track, f"{variable}_sure": sure})
-                for who, row in rows
-                for track, (frames, sure) in changes.items()
-                if who.get(person, track) == track
-                for frame in frames
-            ]
-        return [row for _, row in rows]
-
-    def _read_all(self, name: str, scope: str) -> list[dict[str, Any]]:
-        return self.query(read_statement(f"reads/scene/{name}.cypher"), {"scopes": [scope]})
-
-    def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
-        """See `Reader.agreed`."""
-        return outcome_of_people(find, rows)
-
-    def values_at(self, queries: Offers) -> dict[int, str]:
-        """See `Reader.values_at`."""
         names = {person.id: name for person, _, name, _ in queries if name != "action"}
         values = self._actions_at([query for query in queries if query[2] == "action"])
         people = [person.row(t=t) for person, t, *_ in queries if person.id in names]
@@ -265,7 +224,7 @@ class SceneReader(Reader):
         return {row_id: list_actions(labels[row_id], complete[row_id]) for row_id in complete}
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
-        """See `Reader.seen`."""
+        """Return presence and distance, by id of the plan and frame."""
         views = {}
         for row in self._read("seen", [person.row(t=frame) for person, frame in queries]):
             present = True if row["clear"] else False if row["absent"] else None
@@ -273,17 +232,20 @@ class SceneReader(Reader):
         return views
 
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
-        """See `Reader.starts`."""
+        """Return the first start of an action after a frame."""
         rows = [person.row(action=action, posture=action in POSES, after=after) for person, action, after in queries]
         return {row.pop("id"): Segment(**row) for row in self._read("start", self.rows_on_grid(rows))}
 
     def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
-        """See `Reader.absences`."""
+        """Return the frames before and after the first absence after a frame."""
         rows = self.rows_on_grid(person.row(after=after) for person, after in queries)
         return {row["id"]: (row["leaves"], row["returns"]) for row in self._read("absence", rows)}
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
-        """See `Reader.next_poses`. The next posture must have a certain start."""
+        """Return the posture that follows the posture at a frame, and the last frame with the first posture.
+
+        The next posture must have a certain start.
+        """
         people = {person.id: person for person, _ in queries}
         rows = self._read("next_action", [person.row(after=after) for person, after in queries])
         follows = {row["id"]: (row["pose"], row["until"] - KEYFRAME_STEP) for row in rows if row["pose"] is not None}
@@ -295,7 +257,7 @@ class SceneReader(Reader):
         }
 
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        """See `Reader.counts`."""
+        """Return the number of people in a relation with a person at any frame from the first to the last."""
         rows = self.rows_on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
         complete = {row["id"] for row in self._read("company", rows)}
         by_text: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)

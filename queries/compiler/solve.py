@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from jrdb_avr.queries.compiler.find import Outcome, frames_of_events
 from jrdb_avr.queries.compiler.mapping import PersonId
-from jrdb_avr.queries.compiler.reads import Person, Reader, Seen, Segment, events_of
+from jrdb_avr.queries.compiler.reads import Person, SceneReader, Seen, Segment, events_of
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.plan import Plan
@@ -56,12 +56,12 @@ class Solution:
 
 
 def solve(
-    reader: Reader, queries: Sequence[PlanQuery], rules: Rules, advance: Callable[[int], None] = lambda steps: None
+    reader: SceneReader, queries: Sequence[PlanQuery], rules: Rules, advance: Callable[[int], None] = lambda steps: None
 ) -> list[Solution]:
     """Solve plans with the reader of a namespace.
 
     Args:
-        reader: Reader.
+        reader: SceneReader.
         queries: Plans with their scopes.
         rules: Thresholds.
         advance: Function that is called with the number of plans after each search.
@@ -98,11 +98,11 @@ def solve(
     return [solutions[i] for i in range(len(queries))]
 
 
-def read_with(reader: Reader, query: PlanQuery, people: Mapping[str, PersonId], rules: Rules) -> Solution:
+def read_with(reader: SceneReader, query: PlanQuery, people: Mapping[str, PersonId], rules: Rules) -> Solution:
     """Read a plan with given people, without a test of its conditions and edges.
 
     Args:
-        reader: Reader.
+        reader: SceneReader.
         query: Plan with its scope.
         people: People by node. Events of nodes without a person are unknown.
         rules: Thresholds.
@@ -135,7 +135,7 @@ class _BoundPlan:
         return [self.times[name] for name in self.plan.answer.times if name in self.times]
 
 
-def _read_all(reader: Reader, plans: Sequence[_BoundPlan], rules: Rules) -> dict[int, Solution]:
+def _read_all(reader: SceneReader, plans: Sequence[_BoundPlan], rules: Rules) -> dict[int, Solution]:
     solutions = {}
     _read_events(reader, plans)
     by_read: dict[str, list[_BoundPlan]] = defaultdict(list)
@@ -149,7 +149,7 @@ def _read_all(reader: Reader, plans: Sequence[_BoundPlan], rules: Rules) -> dict
     return solutions
 
 
-def _read_events(reader: Reader, plans: Sequence[_BoundPlan]) -> None:
+def _read_events(reader: SceneReader, plans: Sequence[_BoundPlan]) -> None:
     """Find the frames of all events. An event that follows another event comes later."""
     events = {bound.id: events_of(bound.plan) for bound in plans}
     for turn in range(max(map(len, events.values()), default=0)):
@@ -187,7 +187,7 @@ def _read_events(reader: Reader, plans: Sequence[_BoundPlan]) -> None:
 # -- answers ----------------------------------------------------------------------------------------------------------
 
 
-def _answers(reader: Reader, read: str, plans: Sequence[_BoundPlan], rules: Rules) -> Mapping[int, str | None]:
+def _answers(reader: SceneReader, read: str, plans: Sequence[_BoundPlan], rules: Rules) -> Mapping[int, str | None]:
     """Return the answers to plans with one kind of read, by id of the plan. Unknown answers are missing or None."""
     if read == "next_action":
         return _next_actions(reader, plans)
@@ -205,7 +205,7 @@ def _answers(reader: Reader, read: str, plans: Sequence[_BoundPlan], rules: Rule
     return {bound.id: encode_answer(_BY_FRAMES[read](bound, frames)) for bound, frames in stated}
 
 
-def _next_actions(reader: Reader, plans: Sequence[_BoundPlan]) -> dict[int, str | None]:
+def _next_actions(reader: SceneReader, plans: Sequence[_BoundPlan]) -> dict[int, str | None]:
     """Return the next postures, and add their frames to the plans."""
     event = {bound.id: bound.plan.answer.times[0] for bound in plans}
     after = {bound.id: bound.times.get(bound.plan.times[event[bound.id]].after or "") for bound in plans}

@@ -1,4 +1,4 @@
 // Delete the entities of a run's episodes, together with their edges.
 MATCH (e:Episode)-[:Holds]->(n:Entity)
-WHERE e.run = $run AND ($whole OR list_contains($questions, e.question))
+WHERE e.run = $run
 DETACH DELETE n

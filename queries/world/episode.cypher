@@ -1,3 +1,3 @@
-// Set the plan of an episode, and the verdict on its answer.
-MATCH (e:Episode {id: $id})
-SET e.plan = $plan, e.verdict = $verdict
+// Create the node of an episode.
+UNWIND $rows AS r
+CREATE (:Episode {id: r.id, run: r.run, question: r.question, sequence: r.sequence})

@@ -1,10 +1,11 @@
-// Create the attribute edges that link entities to observations. Match nodes by the hash of the episode and filter
-// them by number, because the engine does not look up the key of a node by the value of a row.
+// Create the attribute edges from entities to looks.
+// Match nodes by the hash of the episode and filter them by number, because the engine does not look up the key of a
+// node by the value of a row.
 MATCH (n:Entity {episode_hash: UUID($hash)})
 UNWIND $rows AS r
 WITH r, n
 WHERE n.number = r.source_number
-MATCH (o:Observation {episode_hash: UUID($hash)})
+MATCH (o:Look {episode_hash: UUID($hash)})
 WITH r, n, o
 WHERE o.number = r.target_number
-CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, votes: r.votes, against: r.against, origin: r.origin, name: r.name, value: r.value, number: r.number, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who}]->(o)
+CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, frame: r.frame, topic: r.topic, name: r.name, value: r.value, weight: r.weight, exclusive: r.exclusive, origin: r.origin}]->(o)

@@ -761,6 +761,21 @@ def test_all_nodes_are_different_people(sites):
     assert rows and all(len({row["who0"], row["who1"], row["who2"]}) == 3 for row in rows)
 
 
+def test_a_person_of_three_times_is_found_in_a_long_sequence_in_little_memory(tmp_path):
+    world = people.World(range(1500))
+    for track in (1, 2):
+        world.see(track, range(1500), ["walking" if track == 1 else "sitting"], x=track * 400.0)
+    conditions = [{"action": "walking", "at": f"t{i}"} for i in range(3)]
+    times = {f"t{i}": {"frame": 300 * i} for i in range(3)}
+    plan = one_person(conditions, times, {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t2"})
+    store = Store(tmp_path)
+    stage_scene(store, people.SEQUENCE, people.intervals_of(world, LoadRules()))
+    with Graph.memory() as graph:
+        build_scene(graph, store, [people.SEQUENCE])
+        (found,) = solve(SceneReader(graph, LoadRules()), [PlanQuery(plan, people.SEQUENCE, ("walking",))], Rules())
+    assert (found.people, found.answer) == ({"a": 1}, "walking")
+
+
 def test_a_condition_at_an_event_is_refused_by_name():
     event = {"event": "start", "of": "b", "action": "walking", "after": "t0"}
     edges = [{"source": "a", "relation": "conversation", "target": "b", "at": "t1"}]

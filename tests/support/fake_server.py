@@ -12,6 +12,7 @@ import urllib.request
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.server import Server
 
 
@@ -228,14 +229,22 @@ def _marked(url):
 
 @functools.cache
 def _seen(url):
+    """Width, height, and the boxes of rectangles with a grid: the colour round the grid's black cells ends the box."""
     import cv2
     import numpy as np
 
-    from jrdb_avr.schema.markers import read
-
     data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
-    return image.shape[1], image.shape[0], [tuple(found.box) for found in read(image)]
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB).astype(int)
+    rows, columns = np.nonzero(image.max(axis=2) < 20)
+    if not len(rows):
+        return image.shape[1], image.shape[0], []
+    y, x = (int(rows.min() + rows.max()) // 2, int(columns.min() + columns.max()) // 2)
+    edge = int(columns.min()) - 8
+    alike = (np.abs(image - image[y, edge]).max(axis=2) < 45).astype(np.uint8)
+    _, numbers = cv2.connectedComponents(alike)
+    down, across = np.nonzero(numbers == numbers[y, edge])
+    box = (int(across.min()), int(down.min()), int(np.ptp(across)) + 1, int(np.ptp(down)) + 1)
+    return image.shape[1], image.shape[0], [box]
 
 
 def showing(request):
@@ -298,9 +307,9 @@ def sound(script, model="fake"):
 
 
 @contextlib.contextmanager
-def recorded_server():
-    """Yield the server's address and the list of bodies, which grows."""
-    server, sent = Server(), []
+def recorded_server(sight=None, errors=PERFECT):
+    """Yield the address of a simulated model and the list of bodies, which grows. `sight`: whom it sees."""
+    server, sent = Server(sight, errors), []
     reply = server.reply
     server.reply = lambda body: (sent.append(body), reply(body))[1]
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -318,7 +327,7 @@ TOOLS = [
 
 
 def complete(url, messages):
-    body = json.dumps({"model": "marker", "messages": messages, "tools": TOOLS}).encode()
+    body = json.dumps({"model": "simulated", "messages": messages, "tools": TOOLS}).encode()
     request = urllib.request.Request(f"{url}/chat/completions", body, {"Content-Type": "application/json"})
     with urllib.request.urlopen(request, timeout=60) as reply:
         return json.load(reply)["choices"][0]["message"]

@@ -1,7 +1,8 @@
-"""Painted panoramas: small worlds with marks, a store of questions about one, its answers, and a method for them."""
+"""Painted panoramas: small worlds of people, a store of questions about one, its answers, and a method for them."""
 
 import json
 import shutil
+from collections import defaultdict
 from dataclasses import asdict, dataclass, field
 
 import cv2
@@ -9,14 +10,16 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from jrdb_avr.agent.simulated.people import Person
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence
-from jrdb_avr.schema.markers import Mark, draw
+from jrdb_avr.schema.labels import INTERACTIONS
 from jrdb_avr.schema.method import Prediction, Question, SequenceInfo, Task
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
+from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.wording.text import question_id, render
@@ -24,17 +27,32 @@ from jrdb_avr.schema.wording.text import question_id, render
 SEQUENCE = "painted"
 
 
+LISTED = {name: frozenset() for name in ("action", "object", "interaction")}
+TIES = dict.fromkeys((SAME_GROUP, *INTERACTIONS), frozenset())
+
+
 @dataclass
 class Actor:
-    """A person: `box(frame)` is a Box or None (not there), `mark(frame)` what the mark says."""
+    """A person: `box(frame)` is a Box or None (not there), `labels(frame)` what is annotated: values by name."""
 
+    track: int
     box: object
-    mark: object
+    labels: object
+    metres: float = 5.0
+    ties: dict = field(default_factory=dict)
+
+    def at(self, frame):
+        """The person as annotated; None if not there."""
+        if (box := self.box(frame)) is None:
+            return None
+        texts = {name: (value,) if isinstance(value, str) else value for name, value in self.labels(frame).items()}
+        labels = LISTED | {name: frozenset(values) for name, values in texts.items()}
+        return Person(self.track, box, labels, TIES | self.ties, self.metres)
 
 
-def still(x, identity, *, y=120, w=70, h=220, **mark):
+def still(x, track, *, y=120, w=70, h=220, metres=5.0, **labels):
     """An actor that stays where it is and as it is."""
-    return Actor(lambda frame: Box(x, y, w, h), lambda frame: Mark(identity, **mark))
+    return Actor(track, lambda frame: Box(x, y, w, h), lambda frame: labels, metres)
 
 
 @dataclass
@@ -64,10 +82,21 @@ class World:
     def paint(self, path, frame):
         image = np.full((HEIGHT, WIDTH, 3), 96, np.uint8)
         image[240:] = 70
-        for actor in self.actors:
-            if (box := actor.box(frame)) is not None:
-                draw(image, box, actor.mark(frame))
+        for person in self.people(SEQUENCE, frame):
+            x, y, w, h = map(round, person.box)
+            for left in (x - WIDTH, x, x + WIDTH):
+                cv2.rectangle(image, (left, y), (left + w - 1, y + h - 1), (40 + 20 * (person.track % 8), 90, 160), -1)
         cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
+
+    def people(self, sequence, frame):
+        """What the simulated model reads of a frame, as `Sight` does."""
+        assert sequence == SEQUENCE, sequence
+        return [person for actor in self.actors if (person := actor.at(frame)) is not None]
+
+    @property
+    def sequences(self):
+        """Every question is about this world."""
+        return defaultdict(lambda: SEQUENCE)
 
     def task(self, question, mode, choices=(), steps=None, writes=None):
         row = Question("0" * 16, SEQUENCE, question, tuple(choices), mode)
@@ -117,14 +146,18 @@ def asked_world(once):
     return once("asked", make_asked_world)
 
 
+def asked_people(root):
+    """The world of the questions: one person who changes, and one who does not."""
+
+    def labels(frame):
+        return {"pose": "standing" if frame < 60 else "sitting" if frame < 120 else "lying"}
+
+    changing = Actor(7, lambda frame: Box(*box_at(frame)), labels, 4.0)
+    return World(root, [changing, still(900, 8, pose="walking")], FRAMES)
+
+
 def make_asked_world(root):
-    def box(frame):
-        return Box(3650 + frame * 0.5, 120, 70, 220)
-
-    def mark(frame):
-        return Mark(7, pose="standing" if frame < 60 else "sitting" if frame < 120 else "lying", distance_dm=40)
-
-    world = World(root / "images", [Actor(box, mark), still(900, 8, pose="walking")], FRAMES)
+    world = asked_people(root / "images")
     for frame in FRAMES:
         world.paint(root / "images" / SEQUENCE / f"{frame:06d}.jpg", frame)
     write_store(root / "store", root / "images")
@@ -150,7 +183,7 @@ def box_at(frame):
 
 
 def write_answers(store, questions=QUESTIONS_ASKED):
-    """Answers under which every second question's mark is right, and evidence where the person stands."""
+    """Answers under which every second question's reading is right, and evidence where the person stands."""
     answers, evidence = [], {}
     for i, q in enumerate(questions):
         frame = asked_frame(q)
@@ -167,7 +200,7 @@ def write_answers(store, questions=QUESTIONS_ASKED):
 
 
 class Reader:
-    """A method that reads the questions' marks without looking."""
+    """A method that knows the questions' people without looking."""
 
     name = "reader"
 

@@ -1,5 +1,5 @@
-// Attributes that an agent believes of its entities, each with its first and last frame.
-MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[h:Has]->(o:Observation)
-RETURN n.name AS who, h.name AS name, h.value AS value, h.number AS number, h.first AS first, h.last AS last,
-       o.number AS look, h.write AS written, h.current AS current
-ORDER BY first, who, name, value
+// Attributes that a model read in an episode, in the order of the writes.
+MATCH (n:Entity {episode_hash: UUID($hash)})-[r:Has]->(o:Look)
+WHERE r.origin = 'model' AND r.step <= $step
+RETURN n.name AS entity, o.number AS look, r.name AS name, r.value AS value, r.weight AS weight, r.write AS written
+ORDER BY look, written, entity, name, value

@@ -1,4 +1,5 @@
-// For the read presence and the events leaves and returns: the columns of the panorama that each look showed.
-MATCH (:Episode {id: $scope})-[:Made]->(o:Observation)
-RETURN o.frame AS frame, o.left AS edge, o.width AS width, o.number AS look, o.angle AS angle
-ORDER BY frame, edge, width
+// Looks of an episode whose people were listed.
+MATCH (:Episode)-[r:Listed]->(o:Look {episode_hash: UUID($hash)})
+WHERE r.step <= $step
+RETURN DISTINCT o.number AS look, o.frame AS frame, o.left AS left, o.width AS width
+ORDER BY look

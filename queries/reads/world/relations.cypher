@@ -1,5 +1,5 @@
-// For the read count: relations that an agent believes between its entities.
-MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[r:Related]->(m:Entity)
-RETURN n.name AS source, r.name AS name, m.name AS target, r.first AS first, r.last AS last,
-       CAST(regexp_extract(r.observation, '[0-9]+$') AS INT64) AS look, r.write AS written, r.current AS current
-ORDER BY first, source, name, target
+// Relations that a model read in an episode, in the order of the writes.
+MATCH (n:Entity {episode_hash: UUID($hash)})-[r:Related]->(m:Entity)
+WHERE r.origin = 'model' AND r.step <= $step
+RETURN n.name AS source, m.name AS target, r.look AS look, r.name AS name, r.weight AS weight, r.write AS written
+ORDER BY written, look, source, name, target

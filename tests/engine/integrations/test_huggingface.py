@@ -10,7 +10,7 @@ import yaml
 from processes import run
 
 from jrdb_avr.engine.integrations.huggingface import export_folders, licence_of, sources_of
-from jrdb_avr.engine.run.opaque import key_path
+from jrdb_avr.queries.opaque import key_path
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import RAI, SAMPLE, SOURCES
 from jrdb_avr.schema.errors import InputError

@@ -119,3 +119,13 @@ def test_calls_are_told_in_words_with_their_results():
         ("final_answer entity p1", "refused: p2 is likelier", True),
         ("no JSON", "nor this", False),
     ]
+
+
+@pytest.mark.parametrize(("angle", "reason"), [(211.0, " (b may be there)"), (195.0, "")])
+def test_a_look_that_was_due_has_its_reason_in_the_title(angle, reason):
+    due = json.dumps([{"frame_id": "000150", "angle_deg": 212.0, "reason": "b may be there"}])
+    seen = json.dumps({"frame_id": "000150", "angle_deg": angle, "left": 5})
+    rows = [{"kind": "solve", "response": due}, {"kind": "observe", "response": seen}]
+    rows = [{"step": n, "request": "{}", "seconds": 0.0} | row for n, row in enumerate(rows, 1)]
+    (turn,) = turns_of(transcript(model_step(0), *rows))
+    assert turn.title == f"Turn 1: looked at frame 150, {angle:.0f}\N{DEGREE SIGN}{reason}"

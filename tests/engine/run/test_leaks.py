@@ -21,7 +21,7 @@ from painted import QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS
-from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.store import Store

@@ -19,7 +19,7 @@ from processes import run
 
 from jrdb_avr.agent.simulated.knobs import PROFILES
 from jrdb_avr.agent.simulated.server import marker_server
-from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.engine.run.public import export_public, strip_metadata
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError

@@ -1,0 +1,267 @@
+"""Play the stages of all methods without a world model, each named by the last line of a request.
+
+All stages share one engine. The model reads every picture of the conversation, ranks the people whom the question may
+mean, and then asks for the look that tells most, or answers. So the baselines choose their looks as well as the agent.
+The plan of a question is the program that the question's words mean.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.agent.look.answer import Conclusion, conclude
+from jrdb_avr.agent.look.attention import NextLook, next_looks
+from jrdb_avr.agent.look.ranking import RankedHypothesis, rank
+from jrdb_avr.agent.model.conventions import CONTRACT
+from jrdb_avr.agent.model.decode import write_box
+from jrdb_avr.agent.perceive.fields import Field, fields_of, perceivable, read_person
+from jrdb_avr.agent.perceive.readings import PersonReading
+from jrdb_avr.agent.perceive.votes import Tracks
+from jrdb_avr.agent.simulated.fields import say
+from jrdb_avr.agent.simulated.noise import ReadPerson, View
+from jrdb_avr.agent.simulated.play_tools import tools_turn
+from jrdb_avr.agent.simulated.requests import Look, Play, Request, StageReply, stitched_box
+from jrdb_avr.schema.answer_modes import MODES
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, iou
+from jrdb_avr.schema.plan import Plan
+
+_MOST_FACTS: Final = 12
+_SHOWN_DEG: Final = 3.0
+"""Maximum angle between a look and the person whom it was made to show again."""
+_TURN_DEG: Final = 1.5
+"""Minimum angle between two looks at a frame, because equal looks are refused."""
+_Corners = tuple[float, float, float, float]
+_Readings = tuple[tuple[str, PersonReading], ...]
+
+
+@dataclass(frozen=True)
+class Thought:
+    """What the model knows after the pictures of a request."""
+
+    request: Request
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Plan of the question, as pictures can be read for it."""
+        return perceivable(self.request.plan)
+
+    @cached_property
+    def tracks(self) -> Tracks:
+        """People of all pictures, under the identities by which the model knows them."""
+        tracks = Tracks({}, {})
+        fields = fields_of(self.plan, self.request.choices)
+        for index, look in enumerate(self.request.looks, 1):
+            readings = _read(look.people, look.view, look.name or f"o{index}", fields)
+            tracks = tracks.with_people(look.columns, look.frame, readings)
+        return tracks
+
+    @cached_property
+    def hypotheses(self) -> tuple[RankedHypothesis, ...]:
+        """People whom the plan's nodes may be, the best first."""
+        return rank(self.plan, self.tracks)
+
+    @property
+    def frames(self) -> Sequence[int]:
+        """Legal frames, or the frames of the pictures if the method does not choose frames."""
+        return self.request.frames or sorted({look.frame for look in self.request.looks})
+
+    def next_look(self, left: int) -> NextLook | None:
+        """Return the look that tells most, or None if no look tells enough."""
+        return next(iter(next_looks(self.plan, self.tracks, self.hypotheses, left, self.frames, 1)), None)
+
+    def conclude(self, target: str | None = None) -> Conclusion | None:
+        """Return the answer about the likeliest target, or about a given one if a hypothesis has it."""
+        chosen = [one for one in self.hypotheses if one.nodes.get(self.plan.target) == target] or self.hypotheses
+        return conclude(self.plan, self.tracks, chosen, self.request.choices, self.frames)
+
+    def answer(self, conclusion: Conclusion | None) -> Any:
+        """Return the answer in the form of a reply. Without a conclusion, guess by a hash of the choices."""
+        mode = MODES[self.plan.answer.mode]
+        if conclusion is not None:
+            return mode.written(conclusion.answer)
+        if mode.is_choice:
+            return 1 + hashlib.sha256("\n".join(self.request.choices).encode()).digest()[0] % len(self.request.choices)
+        return mode.written(mode.make((self.frames[0], self.frames[-1]), 180.0))
+
+    def evidence(self, conclusion: Conclusion | None, looks: Iterable[Look]) -> list[tuple[Look, Box]]:
+        """Return the pictures that show the conclusion's person, with the box in each, whole ones first."""
+        if conclusion is None:
+            return []
+        views = [(look, look.view.place(conclusion.box)) for look in looks if look.frame == conclusion.frame]
+        shown = [(look, box) for look, box in views if box is not None]
+        return sorted(shown, key=lambda pair: not _is_whole(*pair))
+
+
+@lru_cache(4096)
+def _read(people: tuple[ReadPerson, ...], view: View, name: str, fields: tuple[Field, ...]) -> _Readings:
+    """Return the people of a picture under the model's identities, as readings of the fields."""
+    numbers = {f"p{person.identity}": number for number, person in enumerate(people, 1)}
+    ids, readings = [*numbers], []
+    for entity, person in zip(ids, people, strict=True):
+        value: dict[str, Any] = {"box": write_box(person.box, view.size)}
+        for field in fields:
+            said = say(field.key, person, people)
+            value[field.key] = [ids[number - 1] for number in said] if isinstance(said, list) else said
+        place = name, view.frame, view.left, view.size
+        readings.append((entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT)))
+    return tuple(readings)
+
+
+def _is_whole(look: Look, box: Box) -> bool:
+    return box.x >= 0 and box.x + box.w <= look.view.width
+
+
+def _bbox(look: Look, box: Box) -> dict[str, Any]:
+    return {"frame_id": f"{look.frame:06d}", "bbox": write_box(box, look.view.size)}
+
+
+def _missing(conclusion: Conclusion | None) -> list[str]:
+    return [] if conclusion is not None else ["no person was read"]
+
+
+# -- methods that look ------------------------------------------------------------------------------------------------
+
+
+def _react(request: Request) -> StageReply:
+    """Play a turn of ReAct: the next look, or the answer with the person's box in the newest picture."""
+    thought, left = Thought(request), request.left("Looks made: ")
+    request.legal()
+    # The last look is for the box, which must be in the newest picture.
+    look = thought.next_look(left - 1)
+    if look is not None:
+        return StageReply({"action": "observe", **_placed(look.frame, look.angle)})
+    conclusion = thought.conclude()
+    again = _second_look(thought, conclusion) if left else None
+    if again is not None:
+        return StageReply({"action": "observe", **_placed(*again)})
+    boxes = [_bbox(*shown) for shown in thought.evidence(conclusion, request.looks[-1:])]
+    return StageReply(
+        {"action": "answer", "answer": thought.answer(conclusion), "evidence_bboxes": boxes}, _missing(conclusion)
+    )
+
+
+def _second_look(thought: Thought, conclusion: Conclusion | None) -> tuple[int, float] | None:
+    """Return frame and angle of a look that shows the person whole, or None if the newest picture does."""
+    if conclusion is None:
+        return None
+    looks, angle = thought.request.looks, center_angle(conclusion.box.x, conclusion.box.w)
+    shown = thought.evidence(conclusion, looks[-1:])
+    if shown and (_is_whole(*shown[0]) or angle_error(_angle(looks[-1]), angle) <= _SHOWN_DEG):
+        return None
+    made = [_angle(look) for look in looks if look.frame == conclusion.frame]
+    turns = (turn * sign for turn in range(CROP) for sign in (_TURN_DEG, -_TURN_DEG))
+    turn = next(turn for turn in turns if all(angle_error(angle + turn, other) >= _TURN_DEG for other in made))
+    return conclusion.frame, angle + turn
+
+
+def _angle(look: Look) -> float:
+    return center_angle(look.view.left, look.view.width)
+
+
+def _placed(frame: int, angle: float) -> dict[str, Any]:
+    return {"frame_id": f"{frame:06d}", "angle_deg": round(angle % 360.0, 3) % 360.0}
+
+
+def _chat(request: Request) -> StageReply:
+    """Play a turn of an agent without a world model: the next look, or the final answer."""
+    thought, looks = Thought(request), request.looks
+    if not any(look.panorama for look in looks):
+        look = thought.next_look(request.left("Looks made: "))
+        if look is not None:
+            return StageReply({"calls": [{"tool": "observe", **_placed(look.frame, look.angle)}]})
+    conclusion = thought.conclude()
+    # Without a person, the call has no box. It is refused, and the question ends with an answer alone.
+    place: dict[str, Any] = {"observation": looks[-1].name if looks else "o1", "box": []}
+    for shown, box in thought.evidence(conclusion, looks)[:1]:
+        place = {"observation": shown.name, "box": write_box(box, shown.view.size)}
+    call = {"tool": "final_answer", "answer": thought.answer(conclusion), **place}
+    return StageReply({"calls": [call]}, _missing(conclusion))
+
+
+def _agent(request: Request) -> StageReply:
+    """Play a turn of an agent, with or without a world model."""
+    return tools_turn(request) if request.line("World: ") is not None else _chat(request)
+
+
+def _plan(request: Request) -> StageReply:
+    """Reply the question's plan. A refused plan is repeated, because the words have no other reading."""
+    return StageReply(msgspec.to_builtins(request.plan))
+
+
+# -- methods with fixed pictures --------------------------------------------------------------------------------------
+
+
+def _answer_at_once(request: Request) -> StageReply:
+    """Answer and box from all panoramas."""
+    thought = Thought(request)
+    conclusion = thought.conclude()
+    boxes = [_bbox(*shown) for shown in thought.evidence(conclusion, request.looks)[:1]]
+    return StageReply({"answer": thought.answer(conclusion), "evidence_bboxes": boxes}, _missing(conclusion))
+
+
+def _write_facts(request: Request) -> StageReply:
+    """Write what the panoramas show of the person, in sentences."""
+    thought = Thought(request)
+    conclusion = thought.conclude()
+    readings = () if conclusion is None else thought.tracks.people[conclusion.entity]
+    facts = [
+        f"Frame {reading.frame:06d}: the person is at panorama angle {reading.angle:.0f}: "
+        + (", ".join(label.value for label in reading.labels if label.holds) or "no more can be read")
+        for reading in readings
+    ]
+    return StageReply({"reasoning": facts[:_MOST_FACTS] or ["No person in the pictures fits the description."]})
+
+
+def _propose(request: Request) -> StageReply:
+    """Box the person in one of the panoramas."""
+    thought = Thought(request)
+    conclusion = thought.conclude()
+    boxes = [_bbox(*shown) for shown in thought.evidence(conclusion, request.looks)[:1]]
+    return StageReply({"evidence_bboxes": boxes}, None if boxes else _missing(conclusion))
+
+
+def _refine(request: Request) -> StageReply:
+    """Box the person in the middle of the crop, which is centred on the proposed box."""
+    crop = next((look for look in request.looks if not look.panorama), None)
+    if crop is None:
+        raise DecodeError("the prompt shows no crop")
+    middle = crop.view.width / 2
+    people = sorted(crop.people, key=lambda person: abs(person.box.x + person.box.w / 2 - middle))
+    boxes = [_bbox(crop, person.box) for person in people[:1]]
+    return StageReply({"evidence_bboxes": boxes}, None if boxes else ["no person was read in the crop"])
+
+
+def _choose(request: Request) -> StageReply:
+    """Answer about the person in the refined box."""
+    thought = Thought(request)
+    try:
+        refined = Box(*msgspec.json.decode(request.line("Refined box, stitched pixels: ") or "", type=_Corners))
+    except msgspec.DecodeError:
+        raise DecodeError("the prompt has no refined box of four numbers") from None
+    overlaps = {
+        f"p{person.identity}": iou(refined, stitched_box(look.view, person.box))
+        for look in request.looks
+        for person in look.people
+    }
+    conclusion = thought.conclude(max(overlaps, key=lambda entity: overlaps[entity], default=None))
+    return StageReply({"answer": thought.answer(conclusion)}, _missing(conclusion))
+
+
+STAGES: Final[dict[str, Play]] = {
+    "Your answer, as one JSON object:": _answer_at_once,
+    "Your facts, as one JSON object:": _write_facts,
+    "Where the person is, as one JSON object:": _propose,
+    "The person's box in the crop, as one JSON object:": _refine,
+    "Your choice of answer, as one JSON object:": _choose,
+    "Your next turn, as one JSON object:": _react,
+    "Your plan, as one JSON object:": _plan,
+    "Your next calls, as one JSON object:": _agent,
+}
+"""Player of each stage by the last line of its prompt."""

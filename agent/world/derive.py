@@ -1,0 +1,206 @@
+"""Rows that an agent's writes add to its world model: slots of a plan, readings, and what follows from readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from jrdb_avr.agent.look.ranking import PlanPart, absence_evidence, edges_of, frames_of, parts_of
+from jrdb_avr.agent.perceive.geometry import DERIVED
+from jrdb_avr.agent.perceive.readings import PersonReading, has_one_value, topic_of
+from jrdb_avr.agent.perceive.votes import Tracks, signed, tie_key
+from jrdb_avr.schema.beliefs import TIMELESS, Origin, SlotKind, SlotRow
+from jrdb_avr.schema.labels import may_be_called
+from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.relations import SAME_GROUP
+
+ENTITY_TOPIC: Final = "entity"
+"""Topic of the edge that each entity has."""
+
+YES: Final = "yes"
+"""Value of derived `Has` edges: the weight is the evidence for the slot."""
+
+_ANY_FRAME: Final = -1
+_FROM_BOXES: Final = frozenset({"sector", "distance", "group_size"})
+"""Attributes that are derived from boxes, distances and relations."""
+
+
+class Slot(NamedTuple):
+    """A slot with its part of the plan. part: None for the kinds "entity" and "presence"."""
+
+    row: SlotRow
+    part: PlanPart | None
+
+    @property
+    def frame(self) -> int | None:
+        """The frame at which the slot holds, None for any frame."""
+        return None if self.row.frame == _ANY_FRAME else self.row.frame
+
+
+def slots_of(plan: Plan, episode: str) -> tuple[Slot, ...]:
+    """Return the slots of a plan.
+
+    Args:
+        plan: The plan, as `perceivable` returns it.
+        episode: Key of the episode.
+
+    Returns:
+        The slot that all entities fill, then the parts of the plan, then the presences.
+    """
+    slots: list[Slot] = []
+
+    def add(kind: SlotKind, part: PlanPart | None, topic: str, origin: Origin, frame: int, node: str = "") -> None:
+        number = len(slots)
+        ends = (node, "") if part is None else (*part.nodes, "")[:2]
+        name, value, often = ("", YES, 1.0) if part is None else (part.name, part.value, part.often)
+        value = YES if origin == "derived" else value
+        also = "|".join(may_be_called(value)) if origin == "model" and kind == "condition" else ""
+        row = SlotRow(
+            f"{episode}/{number}",
+            episode,
+            number,
+            kind,
+            ends[0],
+            ends[1],
+            name,
+            value,
+            topic,
+            origin,
+            also,
+            frame,
+            often,
+        )
+        slots.append(Slot(row, part))
+
+    add("entity", None, ENTITY_TOPIC, "derived", _ANY_FRAME)
+    conditions = parts_of(plan)[: -len(edges_of(plan)) or None]
+    for part in conditions:
+        frame = _ANY_FRAME if part.frame is None or part.name in TIMELESS else part.frame
+        if part.name in _FROM_BOXES:
+            add("condition", part, f"{part.name} {part.value} {frame}", "derived", frame)
+        else:
+            add("condition", part, topic_of(part.name, part.value), "model", frame)
+    for part in edges_of(plan):
+        if part.name in DERIVED or part.name == SAME_GROUP:
+            add("edge", part, f"{part.name} {part.frame}", "derived", part.frame or 0)
+        else:
+            add("edge", part, part.name, "model", part.frame or 0)
+    for node in plan.nodes:
+        for frame in frames_of(plan, node.id):
+            add("presence", None, f"seen {frame}", "derived", frame, node.id)
+    return tuple(slots)
+
+
+class HasValue(NamedTuple):
+    """An attribute to write: entity, frame, topic, name, value, weight, and whether the value excludes others."""
+
+    entity: str
+    frame: int
+    topic: str
+    name: str
+    value: str
+    weight: float
+    exclusive: bool
+    origin: Origin
+
+
+class Relation(NamedTuple):
+    """A relation to write: source, target, frame, name, weight and origin."""
+
+    source: str
+    target: str
+    frame: int
+    name: str
+    weight: float
+    origin: Origin
+
+
+def read_values(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> Iterator[HasValue]:
+    """Yield the attributes of new readings.
+
+    Args:
+        before: Tracks before the readings, which say what a reading repeats.
+        people: Entity and reading of each person of a picture.
+
+    Yields:
+        The attributes, with weights.
+    """
+    for entity, reading in people:
+        for label in reading.labels:
+            earlier = before.readings_at(entity, reading.frame)
+            repeated = any(other.topic == label.topic for item in earlier for other in item.labels)
+            weight = signed(label.holds, label.confidence) * (before.repeats.frame if repeated else 1.0)
+            exclusive = has_one_value(label.topic)
+            yield HasValue(entity, reading.frame, label.topic, label.name, label.value, weight, exclusive, "model")
+
+
+def read_relations(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> Iterator[Relation]:
+    """Yield the relations of new readings.
+
+    Args:
+        before: Tracks before the readings, which say what a reading repeats.
+        people: Entity and reading of each person of a picture.
+
+    Yields:
+        The relations, with weights.
+    """
+    names = {reading.number: entity for entity, reading in people}
+    voted: set[tuple[tuple[str, str, str], int]] = set()
+    for entity, reading in sorted(people, key=lambda person: person[1].number):
+        for tie in sorted(reading.ties, key=lambda tie: tie.other):
+            target = names.get(tie.other)
+            if target is None:
+                continue
+            key = tie_key(entity, tie.relation, target)
+            repeated = (key, reading.frame) in voted or before.is_voted(key, reading.frame)
+            voted.add((key, reading.frame))
+            weight = signed(tie.holds, tie.confidence) * (before.repeats.frame if repeated else 1.0)
+            yield Relation(entity, target, reading.frame, tie.relation, weight, "model")
+
+
+Key = tuple[str, str, str]
+"""Topic of a derived slot, entity, and the other entity of a pair or ""."""
+
+
+def derived_sums(slots: Sequence[Slot], tracks: Tracks) -> dict[Key, float]:
+    """Return the present evidence of each derived slot, without slots of model readings.
+
+    Args:
+        slots: Slots of the plan.
+        tracks: All readings so far.
+
+    Returns:
+        The log-odds by topic and entities.
+    """
+    sums: dict[Key, float] = {}
+    for slot in slots:
+        for entity in tracks.people if slot.row.origin == "derived" else ():
+            if slot.row.kind == "presence":
+                sums[slot.row.topic, entity, ""] = absence_evidence(tracks, entity, slot.row.frame)
+            elif slot.part is None:
+                sums[slot.row.topic, entity, ""] = 0.0
+            elif slot.row.kind == "condition":
+                sums[slot.row.topic, entity, ""] = slot.part.support(tracks, (entity,)).log_odds
+            else:
+                for other in tracks.people:
+                    if other != entity:
+                        sums[slot.row.topic, entity, other] = slot.part.support(tracks, (entity, other)).log_odds
+    return sums
+
+
+def increments(slots: Sequence[Slot], tracks: Tracks, written: Mapping[Key, float]) -> dict[Key, float]:
+    """Return the changes of derived evidence against the sums that are written.
+
+    Args:
+        slots: Slots of the plan.
+        tracks: All readings so far.
+        written: Sums of the increments so far.
+
+    Returns:
+        The changes. A new entity has a change of 0 for the slot that all entities fill.
+    """
+    return {
+        key: total - written.get(key, 0.0)
+        for key, total in derived_sums(slots, tracks).items()
+        if total != written.get(key, 0.0) or (key[0] == ENTITY_TOPIC and key not in written)
+    }

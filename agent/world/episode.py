@@ -1,0 +1,454 @@
+"""World model of an agent: an append-only graph of what the agent read, whose statements decide the answer.
+
+Each question has an episode. A write that names a look that was not made, or an entity without a sighting, is refused
+and changes nothing. Statements sum the evidence of each slot of the plan for each entity and pair; `join` combines
+them into bindings. The readings of the target, and with them the answer, are read from the graph too.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.agent.look.answer import Conclusion, conclude
+from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, edges_of, join, parts_of
+from jrdb_avr.agent.perceive.fields import perceivable
+from jrdb_avr.agent.perceive.geometry import SeenColumns
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
+from jrdb_avr.agent.perceive.votes import Support, Tracks, Vote, fuse
+from jrdb_avr.agent.world.derive import (
+    ENTITY_TOPIC,
+    YES,
+    HasValue,
+    Key,
+    Relation,
+    Slot,
+    increments,
+    read_relations,
+    read_values,
+    slots_of,
+)
+from jrdb_avr.queries.beliefs.episode import EpisodeRows
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.answers import Answer, encode_answer
+from jrdb_avr.schema.beliefs import (
+    ALWAYS,
+    AttributeRow,
+    EntityRow,
+    EpisodeRow,
+    Fact,
+    HypothesisRow,
+    ListedRow,
+    LookRow,
+    RelationRow,
+    SightingRow,
+    Tool,
+    Write,
+    episode_hash,
+)
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.labels import INTERACTIONS
+from jrdb_avr.schema.method import Observation, Panorama, Question
+from jrdb_avr.schema.panorama import WIDTH, Box, center_angle
+from jrdb_avr.schema.plan import Plan, canonical
+from jrdb_avr.schema.relations import SYMMETRIC
+from jrdb_avr.schema.repeats import USUAL_REPEATS, Repeats
+
+MOST_ENTITIES: Final = 200
+"""Maximum number of entities of an episode."""
+
+_MOST_RANKED: Final = 5
+"""Maximum number of bindings that are written at the end, each with another target."""
+
+_NO_METRES: Final = -1.0
+_AHEAD: Final = 180.0
+"""Panorama angle of the middle of a whole panorama."""
+
+Record = Callable[[Write], None]
+"""Function that records a write."""
+
+
+class WorldModel:
+    """World models of one run.
+
+    Attributes:
+        graph: The graph.
+        run_id: Id of the run.
+        repeats: Weights of repeated readings.
+    """
+
+    def __init__(self, graph: WorldGraph, run_id: str, repeats: Repeats = USUAL_REPEATS) -> None:
+        self.graph, self.run_id, self.repeats = graph, run_id, repeats
+
+    def episode(self, question: Question, record: Record) -> WorldEpisode:
+        """Begin the episode of a question.
+
+        Args:
+            question: The question.
+            record: Function that records each write.
+
+        Returns:
+            The episode.
+        """
+        return WorldEpisode(self.graph, self.run_id, question, record, self.repeats)
+
+
+class WorldEpisode:
+    """World model of one question. Only one thread may use an episode.
+
+    Attributes:
+        key: Key of the episode.
+        plan: The plan, as pictures can be read for it.
+        tracks: All accepted readings, for geometry and advice. Answers are read from the graph.
+    """
+
+    def __init__(
+        self, graph: WorldGraph, run_id: str, question: Question, record: Record, repeats: Repeats = USUAL_REPEATS
+    ) -> None:
+        self._graph, self._record = graph, record
+        self._rows = EpisodeRows(run_id, question.question_id)
+        self.key = self._rows.key
+        self.plan: Plan | None = None
+        self.tracks = Tracks({}, {}, repeats)
+        self._slots: tuple[Slot, ...] = ()
+        self._looks: dict[str, LookRow] = {}
+        self._entities: dict[str, EntityRow] = {}
+        self._listed: set[str] = set()
+        self._written: dict[Key, float] = {}
+        self._waiting: list[tuple[Write, Fact]] = []
+        self._evidence: _Evidence | None = None
+        episode = EpisodeRow(self.key, run_id, question.question_id, question.sequence)
+        self._write("begin", {"question": question.question}, 0, Fact(episode=episode))
+
+    # -- writes -------------------------------------------------------------------------------------------------------
+
+    def set_plan(self, plan: Plan, step: int) -> None:
+        """Write the slots of an accepted plan. An episode has one plan."""
+        self.plan = perceivable(plan)
+        self._slots = slots_of(self.plan, self.key)
+        self._write("plan", msgspec.Raw(canonical(plan).encode()), step, Fact(slots=tuple(s.row for s in self._slots)))
+
+    def observed(self, view: Observation | Panorama, step: int) -> str:
+        """Write a look that was made.
+
+        Args:
+            view: The crop or panorama.
+            step: Index of the model call.
+
+        Returns:
+            The name of the look: "o1", "o2" and so on.
+        """
+        number = len(self._looks) + 1
+        name, panorama = f"o{number}", isinstance(view, Panorama)
+        left, width, angle = (0, WIDTH, _AHEAD) if panorama else (view.left, view.image.shape[1], view.angle_deg)
+        row = LookRow(f"{self.key}/{name}", self.key, number, step, view.frame_index, float(angle), int(left), width)
+        self._looks[name] = row
+        self._write("observe", {"frame": row.frame, "angle": row.angle}, step, Fact(looks=(row,)))
+        return name
+
+    def add_people(self, observation: str, people: Sequence[tuple[str, PersonReading]], step: int) -> None:
+        """Write the people of a look, and what follows from them.
+
+        Args:
+            observation: Name of the look.
+            people: Id and reading of each person. An id that is not known names a new entity.
+            step: Index of the model call.
+
+        Raises:
+            DecodeError: If the look was not made, an entity already has a sighting in it, a box is outside it, or there
+                are too many entities. Then nothing is written.
+        """
+        look = self._look(observation)
+        for entity, reading in people:
+            if reading.frame != look.frame or not _is_inside(reading.box, look):
+                raise DecodeError(f"the box of {entity} is outside {observation}")
+            if any(other.observation == observation for other in self.tracks.people.get(entity, ())):
+                raise DecodeError(f"{entity} already has a box in {observation}")
+        names = [entity for entity, _ in people]
+        if len({*names}) < len(names):
+            raise DecodeError("an entity is listed twice")
+        if len({*self._entities, *names}) > MOST_ENTITIES:
+            raise DecodeError(f"there are {MOST_ENTITIES} entities: no more are accepted")
+        before, number = self.tracks, self._rows.written
+        columns = None if observation in self._listed else SeenColumns(look.left, look.width)
+        self.tracks = before.with_people(columns, look.frame, people)
+        new = tuple(
+            EntityRow(f"{self.key}/{name}", self.key, index, name, step)
+            for index, name in enumerate((n for n in names if n not in self._entities), len(self._entities) + 1)
+        )
+        self._entities |= {row.name: row for row in new}
+        sighted = tuple(
+            SightingRow(*self._ends(entity, look), self.key, number, step, look.frame, Box(*map(float, reading.box)),
+                        center_angle(reading.box.x, reading.box.w), reading.whole,
+                        _NO_METRES if reading.metres is None else reading.metres)
+            for entity, reading in people
+        )  # fmt: skip
+        listed = () if columns is None else (ListedRow(self.key, look.id, self.key, number, step, look.frame),)
+        self._listed.add(observation)
+        values, relations = [*read_values(before, people)], [*read_relations(before, people)]
+        fact = Fact(entities=new, listed=listed, sighted=sighted)
+        arguments = {"observation": observation, "people": names}
+        self._write("add_people", arguments, step, self._with_evidence(fact, look, values, relations, step))
+
+    def add_attribute(self, entity: str, observation: str, label: ReadLabel, step: int) -> None:
+        """Write an attribute of an entity that has a sighting in a look.
+
+        Raises:
+            DecodeError: If the look was not made, or the entity has no sighting in it.
+        """
+        reading = self._reading(entity, observation)
+        before = self._replace(entity, reading, replace(reading, labels=(*reading.labels, label)))
+        values = [*read_values(before, [(entity, replace(reading, labels=(label,)))])]
+        arguments = {"entity": entity, "observation": observation, "name": label.name, "value": label.value}
+        look = self._look(observation)
+        self._write("add_attribute", arguments, step, self._with_evidence(Fact(), look, values, [], step))
+
+    def add_relation(self, source: str, observation: str, relation: str, target: str, step: int) -> None:
+        """Write a relation between two entities that have a sighting in a look.
+
+        Raises:
+            DecodeError: If the look was not made, or an entity has no sighting in it.
+        """
+        reading, other = self._reading(source, observation), self._reading(target, observation)
+        tie = ReadTie(relation, other.number)
+        before = self._replace(source, reading, replace(reading, ties=(*reading.ties, tie)))
+        pair = [(source, replace(reading, ties=(tie,))), (target, replace(other, ties=()))]
+        arguments = {"source": source, "observation": observation, "name": relation, "target": target}
+        look, relations = self._look(observation), [*read_relations(before, pair)]
+        self._write("add_relation", arguments, step, self._with_evidence(Fact(), look, [], relations, step))
+
+    def refuse(self, tool: Tool, arguments: object, reason: str, step: int) -> None:
+        """Record a refused call, which changes nothing."""
+        self._write(tool, arguments, step, None, reason)
+
+    def answered(self, proposed: Answer | None, conclusion: Conclusion | None, step: int) -> None:
+        """Write the best bindings and the answer at the end of the episode.
+
+        Args:
+            proposed: Answer that the model proposed, or None.
+            conclusion: Answer that the graph supports, or None.
+            step: Index of the model call.
+        """
+        best = [] if self.plan is None else [*best_of_each(self.bindings(), self.plan.target).items()][:_MOST_RANKED]
+        rows = []
+        for rank, (entity, hypothesis) in enumerate(best, 1):
+            nodes = ", ".join(f"{node}={name}" for node, name in hypothesis.nodes.items())
+            answer: tuple[str, str, int] = ("", "", -1)
+            if conclusion is not None and conclusion.entity == entity:
+                answer = encode_answer(conclusion.answer), conclusion.verdict, conclusion.frame
+            odds = hypothesis.log_odds, min(hypothesis.margin, float(ALWAYS))
+            rows.append(HypothesisRow(f"{self.key}/h{rank}", self.key, rank, step, entity, nodes, *odds, *answer))
+        arguments = {"answer": None if proposed is None else msgspec.to_builtins(proposed)}
+        self._write("final_answer", arguments, step, Fact(hypotheses=tuple(rows)))
+        self._settle()
+
+    def _with_evidence(
+        self, fact: Fact, look: LookRow, values: list[HasValue], relations: list[Relation], step: int
+    ) -> Fact:
+        """Return a fact with the edges of attributes and relations, and with the increments that follow from them."""
+        values += [
+            HasValue(
+                entity, item.frame, f"interaction {item.name}", "interaction", item.name, item.weight, False, "relation"
+            )
+            for item in relations
+            if item.name in INTERACTIONS and item.weight > 0
+            for entity in (item.source, item.target)
+        ]
+        frames = {slot.row.topic: slot.row.frame for slot in self._slots}
+        for key, change in increments(self._slots, self.tracks, self._written).items():
+            topic, entity, other = key
+            self._written[key] = self._written.get(key, 0.0) + change
+            if other:
+                relations.append(Relation(entity, other, frames[topic], topic, change, "derived"))
+            else:
+                values.append(HasValue(entity, frames[topic], topic, topic.split()[0], YES, change, False, "derived"))
+        number = self._rows.written
+        has = tuple(
+            AttributeRow(*self._ends(item.entity, look), self.key, number, step, item.frame, item.topic, item.name,
+                         item.value, item.weight, item.exclusive, item.origin)
+            for item in values
+        )  # fmt: skip
+        related = tuple(
+            RelationRow(f"{self.key}/{item.source}", f"{self.key}/{item.target}", self.key, number, step, item.frame,
+                        item.name, item.weight, look.id, item.origin)
+            for item in relations
+        )  # fmt: skip
+        return msgspec.structs.replace(fact, has=has, related=related)
+
+    def _ends(self, entity: str, look: LookRow) -> tuple[str, str]:
+        return f"{self.key}/{entity}", look.id
+
+    def _look(self, name: str) -> LookRow:
+        if name not in self._looks:
+            made = ", ".join([*self._looks][-8:]) or "none yet"
+            raise DecodeError(f"observation {name[:40]!r} has not been made; made: {made}")
+        return self._looks[name]
+
+    def _reading(self, entity: str, observation: str) -> PersonReading:
+        self._look(observation)
+        for reading in self.tracks.people.get(entity, ()):
+            if reading.observation == observation:
+                return reading
+        raise DecodeError(f"{entity[:40]} has no box in {observation}: add the person first")
+
+    def _replace(self, entity: str, reading: PersonReading, new: PersonReading) -> Tracks:
+        """Put a reading in the place of another one. Return the tracks before."""
+        before = self.tracks
+        readings = tuple(new if item is reading else item for item in before.people[entity])
+        self.tracks = Tracks({**before.people, entity: readings}, before.looks, before.repeats)
+        return before
+
+    def _write(self, tool: Tool, arguments: object, step: int, fact: Fact | None, reason: str = "") -> None:
+        text = "" if fact is None else msgspec.json.encode(fact).decode()
+        shown = msgspec.json.encode(arguments).decode()
+        write = Write(self._rows.written, step, tool, shown, not reason, reason, text)
+        self._rows.apply(write.number, fact)
+        self._waiting.append((write, fact or Fact()))
+        self._evidence = None
+
+    def _settle(self) -> None:
+        """Add the waiting rows to the graph in one transaction, then record their writes."""
+        writes, self._waiting = self._waiting, []
+        if writes:
+            self._graph.write([*self._rows.statements(writes)])
+        for write, _ in writes:
+            self._record(write)
+
+    # -- reads --------------------------------------------------------------------------------------------------------
+
+    def bindings(self) -> tuple[RankedHypothesis, ...]:
+        """Return the bindings of the plan by the statements over the graph, the best first.
+
+        Returns:
+            The bindings. Empty if the graph has no entity.
+        """
+        return self._read_evidence().bindings
+
+    def slots(self, hypothesis: RankedHypothesis) -> tuple[SlotSupport, ...]:
+        """Return the support of each part of the plan under a binding, by the same rows as the bindings."""
+        assert self.plan is not None
+        evidence, supports = self._read_evidence(), []
+        for part, slot in zip(parts_of(self.plan), evidence.parts, strict=True):
+            people = [hypothesis.nodes.get(node, "") for node in part.nodes]
+            supports.append(SlotSupport(part, evidence.support(slot, *people)))
+        return tuple(supports)
+
+    def conclude(self, choices: Sequence[str], frames: Sequence[int]) -> Conclusion | None:
+        """Return the answer that the graph supports.
+
+        Args:
+            choices: Choices of the question.
+            frames: Frames at which looks can be made, ascending.
+
+        Returns:
+            The conclusion, or None if no entity fits the plan.
+        """
+        bindings = self.bindings()
+        if self.plan is None or not bindings:
+            return None
+        return conclude(self.plan, self.read_tracks(), bindings, choices, frames, self.slots(bindings[0]))
+
+    def read_tracks(self) -> Tracks:
+        """Return the readings that the graph has."""
+        self._settle()
+        sightings, attributes, relations, looks = (
+            self._rows_of(name) for name in ("sightings", "attributes", "relations", "looks")
+        )
+        labels: dict[tuple[str, int], list[ReadLabel]] = defaultdict(list)
+        for row in attributes:
+            labels[row["entity"], row["look"]].append(ReadLabel(row["name"], row["value"], row["weight"] > 0))
+        numbers: dict[tuple[str, int], int] = {}
+        for row in sightings:
+            numbers[row["entity"], row["look"]] = 1 + sum(look == row["look"] for _, look in numbers)
+        ties: dict[tuple[str, int], list[ReadTie]] = defaultdict(list)
+        for row in relations:
+            look = int(row["look"].rpartition("/o")[2])
+            ties[row["source"], look].append(ReadTie(row["name"], numbers[row["target"], look], row["weight"] > 0))
+        people: dict[str, tuple[PersonReading, ...]] = {}
+        for row in sightings:
+            key = row["entity"], row["look"]
+            metres = None if row["metres"] < 0 else row["metres"]
+            details = tuple(labels[key]), tuple(ties[key]), metres, row["whole"]
+            reading = PersonReading(f"o{row['look']}", numbers[key], row["frame"], Box(**row["box"]), *details)
+            people[row["entity"]] = (*people.get(row["entity"], ()), reading)
+        columns: dict[int, tuple[SeenColumns, ...]] = {}
+        for row in looks:
+            columns[row["frame"]] = (*columns.get(row["frame"], ()), SeenColumns(row["left"], row["width"]))
+        return Tracks(people, columns, self.tracks.repeats)
+
+    def _rows_of(self, name: str) -> list[dict[str, Any]]:
+        values = {"hash": episode_hash(self.key), "step": ALWAYS}
+        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), values)
+
+    def _read_evidence(self) -> _Evidence:
+        self._settle()
+        if self._evidence is None:
+            assert self.plan is not None, "a plan is set before the graph is read"
+            has_edges = any(slot.row.kind == "edge" for slot in self._slots)
+            pairs = self._rows_of("pairs") if has_edges else []
+            self._evidence = _Evidence(self.plan, self._slots, self._rows_of("slots"), pairs, self.tracks.repeats)
+        return self._evidence
+
+
+class _Evidence:
+    """Rows of the two statements that sum evidence, and the bindings that follow from them."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        slots: Sequence[Slot],
+        singles: Sequence[Mapping[str, Any]],
+        pairs: Sequence[Mapping[str, Any]],
+        repeats: Repeats,
+    ) -> None:
+        self._slots, self._repeats = slots, repeats
+        self._votes: dict[tuple[int, str, str], list[Vote]] = defaultdict(list)
+        for row in singles:
+            self._votes[row["slot"], row["entity"], ""].append((row["frame"], row["weight"]))
+        for row in pairs:
+            ends = row["source"], row["target"]
+            symmetric = slots[row["slot"]].row.name in SYMMETRIC and slots[row["slot"]].row.origin == "model"
+            for source, target in (ends, ends[::-1]) if symmetric else (ends,):
+                self._votes[row["slot"], source, target].append((row["frame"], row["weight"]))
+        self.parts = [slot for slot in slots if slot.part is not None]
+        edges = edges_of(plan)
+        entities = {row["entity"] for row in singles if slots[row["slot"]].row.topic == ENTITY_TOPIC}
+        alone = {
+            (node.id, entity): sum(
+                self._log_odds(slot, entity)
+                if slot.part is None
+                else slot.part.evidence(self.support(slot, entity).log_odds)
+                for slot in slots
+                if slot.row.node == node.id and slot.row.kind != "edge"
+            )
+            for node in plan.nodes
+            for entity in entities
+        }
+        first = next((slot.row.number for slot in slots if slot.row.kind == "edge"), 0)
+        table = {
+            (number - first, source, target): edges[number - first].evidence(
+                self.support(slots[number], source, target).log_odds
+            )
+            for number, source, target in self._votes
+            if target
+        }
+        self.bindings = join(plan, alone, table) if alone else ()
+
+    def support(self, slot: Slot, entity: str, other: str = "") -> Support:
+        """Return the support of a slot for an entity or a pair."""
+        votes = self._votes.get((slot.row.number, entity, other), [])
+        return Support(fuse(votes, slot.frame, self._repeats), len(votes))
+
+    def _log_odds(self, slot: Slot, entity: str) -> float:
+        return sum(weight for _, weight in self._votes.get((slot.row.number, entity, ""), []))
+
+
+def _is_inside(box: Box, look: LookRow) -> bool:
+    """Return whether a box in stitched pixels has columns of a look only. One pixel is allowed for rounding."""
+    begin = (box.x - look.left + 1.0) % WIDTH
+    return box.w > 0 and box.h > 0 and begin + box.w <= look.width + 2.0

@@ -1,4 +1,0 @@
-// Create the observations of an episode: crops and whole panoramas.
-MATCH (e:Episode {id: $episode})
-UNWIND $rows AS r
-CREATE (e)-[:Made]->(:Observation {id: r.id, episode: r.episode, number: r.number, step: r.step, frame: r.frame, angle: r.angle, left: r.left, width: r.width, episode_hash: UUID($hash)})

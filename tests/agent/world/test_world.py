@@ -1,0 +1,129 @@
+"""The statements over a world model sum what readings say, and decide the bindings and the answer."""
+
+import random
+
+import numpy as np
+import pytest
+
+from jrdb_avr.agent.look.answer import conclude
+from jrdb_avr.agent.look.ranking import rank, slot_supports
+from jrdb_avr.agent.perceive.fields import perceivable
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
+from jrdb_avr.agent.world.episode import WorldModel
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Question
+from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, Box, crop_left
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, validate
+from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
+
+CHOICES = ("walking", "standing", "talking to someone", "sitting")
+CROWD = 5
+"""Seed of four people."""
+FRAMES = tuple(range(0, 300, 15))
+PLAN = Plan(
+    "a", "b", {"t0": Time(frame=60), "t1": Time(frame=120)},
+    (Node("a", (Condition(attribute="gender", value="female"), Condition(action="walking", at="t0"),
+                Condition(attribute="sector", value="left", at="t0"), Condition(interaction="conversation", at="t0"))),
+     Node("b"), Node("c", (Condition(attribute="group_size", value=2, at="t0"),))),
+    (Edge("a", FIRST_LEFT, "b", "t0"), Edge("a", "conversation", "c", "t0"), Edge("b", SAME_GROUP, "c", "t0")),
+    AnswerSpec("multiple_choice", "action", "b", ("t1",)),
+)  # fmt: skip
+
+
+@pytest.fixture
+def graph():
+    with WorldGraph.memory() as made:
+        yield made
+
+
+def view(frame, angle):
+    image = np.zeros((CROP, CROP, 3), np.uint8)
+    return Observation("s", frame, f"{frame:06d}", frame / 15, float(angle), FOV_DEG, crop_left(angle), image)
+
+
+def begin(graph, record=lambda write: None, plan=PLAN):
+    validate(plan)
+    question = Question("q", "s", "Who?", "multiple_choice", CHOICES)
+    episode = WorldModel(graph, "r").episode(question, record)
+    episode.set_plan(plan, 0)
+    return episode
+
+
+def random_people(random_, look, frame, angle):
+    names = random_.sample(("p1", "p2", "p3", "p4", "p5"), random_.randint(0, 4))
+    left = crop_left(angle)
+    for number, name in enumerate(names, 1):
+        labels = [ReadLabel("gender", random_.choice(("female", "male")))] if random_.random() < 0.7 else []
+        labels += [ReadLabel("action", random_.choice(("walking", "standing", "sitting")))]
+        labels += [ReadLabel("action", "talking to someone", random_.random() < 0.5)]
+        labels += [ReadLabel("interaction", "conversation", random_.random() < 0.5)] if random_.random() < 0.4 else []
+        ties = [
+            ReadTie(relation, other, random_.random() < 0.5)
+            for relation in ("conversation", SAME_GROUP)
+            for other in range(1, len(names) + 1)
+            if other != number and random_.random() < 0.7
+        ]
+        box = Box((left + random_.randint(1, 400)) % WIDTH, 100.0, 50.0, random_.randint(60, 200))
+        yield name, PersonReading(look, number, frame, box, tuple(labels), tuple(ties), whole=random_.random() < 0.8)
+
+
+def facts(tracks):
+    boxes = {
+        (who, one.observation): (one.frame, one.box, one.whole, sorted(one.labels))
+        for who, readings in tracks.people.items()
+        for one in readings
+    }
+    return tracks.looks, boxes, sorted(tracks._ties)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_statements_bind_and_answer_as_readings_do_after_every_write(graph, seed):
+    random_ = random.Random(seed)
+    episode = begin(graph)
+    plan = perceivable(PLAN)
+    for step in range(1, 9):
+        frame, angle = random_.choice((60, 60, 75, 120)), random_.randrange(0, 360, 20)
+        look = episode.observed(view(frame, angle), step)
+        episode.add_people(look, [*random_people(random_, look, frame, angle)], step)
+        oracle = rank(plan, episode.tracks)
+        found = episode.bindings()
+        assert [dict(one.nodes) for one in found] == [dict(one.nodes) for one in oracle]
+        assert [one.log_odds for one in found] == pytest.approx([one.log_odds for one in oracle])
+        if found:
+            slots = [slot.support.log_odds for slot in episode.slots(found[0])]
+            assert slots == pytest.approx([s.support.log_odds for s in slot_supports(plan, episode.tracks, found[0])])
+            assert episode.conclude(CHOICES, FRAMES) == conclude(plan, episode.tracks, oracle, CHOICES, FRAMES)
+            assert facts(episode.read_tracks()) == facts(episode.tracks)
+
+
+def test_an_emptied_graph_concludes_nothing(graph):
+    episode = begin(graph)
+    look = episode.observed(view(60, 90), 1)
+    episode.add_people(look, [*random_people(random.Random(CROWD), look, 60, 90)], 1)
+    assert episode.conclude(CHOICES, FRAMES) is not None
+    graph.graph.execute("MATCH (n) DETACH DELETE n")
+    episode.refuse("observe", {}, "no", 2)
+    graph.graph.execute("MATCH (n) DETACH DELETE n")
+    episode._evidence = None
+    assert episode.bindings() == ()
+    assert episode.conclude(CHOICES, FRAMES) is None
+
+
+def test_calls_that_name_no_look_or_entity_change_nothing(graph):
+    episode = begin(graph)
+    look = episode.observed(view(60, 90), 1)
+    people = [*random_people(random.Random(CROWD), look, 60, 90)]
+    episode.add_people(look, people, 1)
+    before, rows = episode.tracks, graph.graph.count_rows()
+    name = people[0][0]
+    for call in (
+        lambda: episode.add_people("o9", people, 2),
+        lambda: episode.add_people(look, people, 2),
+        lambda: episode.add_attribute("p9", look, ReadLabel("gender", "male"), 2),
+        lambda: episode.add_relation(name, look, "conversation", "p9", 2),
+    ):
+        with pytest.raises(DecodeError):
+            call()
+    assert episode.tracks is before
+    assert graph.graph.count_rows() == rows
