@@ -5,6 +5,7 @@ Replies are untrusted. A turn is an object with a list of calls, and each call i
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -90,7 +91,7 @@ def _depth(value: object, most: int = _DEPTH) -> int:
     return 1 + max((_depth(part, most - 1) for part in parts), default=0)
 
 
-_COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
+_COMPACT: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 
 
 def compact_json(value: object) -> str:
@@ -100,13 +101,15 @@ def compact_json(value: object) -> str:
         value: The value.
 
     Returns:
-        One line of ASCII.
+        One line of ASCII. A number that is not finite becomes a text, because JSON has no such numbers.
 
     Raises:
         DecodeError: If the value is nested too deeply.
     """
     try:
-        return _COMPACT.encode(value)
+        with contextlib.suppress(ValueError):
+            return _COMPACT.encode(value)
+        return _COMPACT.encode(json.loads(json.dumps(value), parse_constant=str))
     except (RecursionError, ValueError):
         raise DecodeError("the reply is nested too deeply or too long") from None
 

@@ -12,6 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
@@ -191,7 +193,7 @@ class WorldMemory:
     def refuse(self, call: Call, reason: str, step: int) -> None:
         """Record a refused call in the graph, unless it names no tool."""
         if call.tool != UNKNOWN:
-            self.world.refuse(call.tool, call.arguments, reason, step)
+            self.world.refuse(call.tool, _stored(call.arguments), reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
@@ -232,7 +234,8 @@ class WorldMemory:
         convention = self.attempt.convention
         observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
         for person, reason in faults:
-            self.world.refuse("add_people", {"observation": observation, "people": [person]}, reason, step)
+            arguments = {"observation": observation, "people": [person]}
+            self.world.refuse("add_people", _stored(arguments), printable(reason), step)
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
         self._add(observation, people, step)
@@ -387,6 +390,11 @@ class WorldMemory:
         frames = task.sequence.frames or (0,)
         middle = frames[len(frames) // 2]
         return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+
+
+def _stored(arguments: object) -> msgspec.Raw:
+    """Return arguments of a model as JSON that every table can hold."""
+    return msgspec.Raw(compact_json(arguments).encode())
 
 
 def _part_text(part: PlanPart) -> str:
