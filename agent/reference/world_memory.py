@@ -66,16 +66,14 @@ _TOPICS: Final = ("gender", "age")
 class WorldMemory:
     """Memory of an agent with a world model: the episode of one question.
 
-    plan: the plan as pictures are read for it. heading: the lines that begin each user message.
-    advises: whether turns advise looks. fixed: whether each turn shows all views, because no look can be made. shown:
-    the views of the next turn: all, or the views about which nothing is written. counts: number of people written per
-    observation. proposed: the newest readable answer of the model. final_refused: whether a final answer was refused
-    because the graph does not support it.
+    heading: the lines that begin each user message. advises: whether turns advise looks. fixed: whether each turn shows
+    all views, because no look can be made. shown: the views of the next turn: all, or the views about which nothing is
+    written. counts: number of people written per observation. proposed: the newest readable answer of the model.
+    final_refused: whether a final answer was refused because the graph does not support it.
     """
 
     attempt: Attempt
     world: WorldEpisode
-    plan: Plan
     fields: Sequence[Field]
     system: str
     heading: str
@@ -87,6 +85,12 @@ class WorldMemory:
     final_refused: bool = False
     _bindings: tuple[RankedHypothesis, ...] | None = None
     _conclusion: Conclusion | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """The plan as pictures are read for it. The frames of group events follow from what was read."""
+        assert self.world.plan is not None, "a plan is set before the first turn"
+        return self.world.plan
 
     @property
     def tools(self) -> Collection[str]:
