@@ -12,6 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
@@ -30,7 +32,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
     written_answer,
 )
-from jrdb_avr.agent.reference.turns import Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import UNKNOWN, Call, Turn, View, compact_json, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
@@ -193,8 +195,9 @@ class WorldMemory:
         return name
 
     def refuse(self, call: Call, reason: str, step: int) -> None:
-        """Record a refused call in the graph."""
-        self.world.refuse(call.tool, call.arguments, reason, step)
+        """Record a refused call in the graph, unless it names no tool."""
+        if call.tool != UNKNOWN:
+            self.world.refuse(call.tool, _stored(call.arguments), reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
@@ -235,7 +238,8 @@ class WorldMemory:
         convention = self.attempt.convention
         observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
         for person, reason in faults:
-            self.world.refuse("add_people", {"observation": observation, "people": [person]}, reason, step)
+            arguments = {"observation": observation, "people": [person]}
+            self.world.refuse("add_people", _stored(arguments), printable(reason), step)
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
         self._add(observation, people, step)
@@ -390,6 +394,11 @@ class WorldMemory:
         frames = task.sequence.frames or (0,)
         middle = frames[len(frames) // 2]
         return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+
+
+def _stored(arguments: object) -> msgspec.Raw:
+    """Return arguments of a model as JSON that every table can hold."""
+    return msgspec.Raw(compact_json(arguments).encode())
 
 
 def _part_text(part: PlanPart) -> str:
