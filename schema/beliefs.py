@@ -162,6 +162,7 @@ class SlotRow(_NodeRow, frozen=True):
 
     Attributes:
         number: Index of the slot in its episode.
+        step: Index of the model call that set the plan. The slots of a later plan replace all earlier slots.
         kind: Kind of the slot.
         node: Node of the plan. The source of an edge.
         other: Target of an edge.
@@ -174,6 +175,7 @@ class SlotRow(_NodeRow, frozen=True):
         often: Prior probability that the part holds for a person or a pair.
     """
 
+    step: int
     kind: SlotKind
     node: str
     other: str

@@ -35,12 +35,14 @@ class Slot(NamedTuple):
         return None if self.row.frame == _ANY_FRAME else self.row.frame
 
 
-def slots_of(plan: Plan, episode: str) -> tuple[Slot, ...]:
+def slots_of(plan: Plan, episode: str, step: int = 0, first: int = 0) -> tuple[Slot, ...]:
     """Return the slots of a plan.
 
     Args:
         plan: The plan, as `perceivable` returns it.
         episode: Key of the episode.
+        step: Index of the model call that set the plan.
+        first: Number of the first slot.
 
     Returns:
         The slot that all entities fill, then the parts of the plan, then the presences.
@@ -51,9 +53,9 @@ def slots_of(plan: Plan, episode: str) -> tuple[Slot, ...]:
         source, target = (node, "") if part is None else (*part.nodes, "")[:2]
         name, value, often = (kind, "", 1.0) if part is None else (part.name, part.value, part.often)
         also = "|".join(may_be_called(value)) if origin == "model" and kind == "condition" else ""
-        number = len(slots)
+        number = first + len(slots)
         key = f"{episode}/{number}"
-        row = SlotRow(key, episode, number, kind, source, target, name, value, topic, origin, also, frame, often)
+        row = SlotRow(key, episode, number, step, kind, source, target, name, value, topic, origin, also, frame, often)
         slots.append(Slot(row, part))
 
     add("entity", None, ENTITY_TOPIC, "derived", _ANY_FRAME)

@@ -6,8 +6,11 @@
 // param question: text
 // param step: integer = 10000000
 // param repeats: number = 0.25
-MATCH (e:Episode)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Look:Entity)
-WHERE e.id = concat($run, '/', $question) AND s.kind <> 'entity' AND r.step <= $step
+MATCH (e:Episode)-[:Asks]->(s:Slot)
+WHERE e.id = concat($run, '/', $question) AND s.kind = 'entity' AND s.step <= $step
+WITH e, max(s.number) AS newest
+MATCH (e)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Look:Entity)
+WHERE s.number > newest AND s.step <= $step AND r.step <= $step
   AND (s.origin = r.origin OR (s.origin = 'model' AND r.origin = 'relation'))
   AND ((s.kind <> 'edge' AND label(r) = 'Has' AND s.topic = r.topic) OR (s.kind = 'edge' AND label(r) = 'Related'
        AND s.name = r.name AND (s.origin = 'model' OR s.frame = r.frame)))

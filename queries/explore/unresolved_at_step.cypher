@@ -10,8 +10,12 @@ WITH e, max(h.number) AS last
 MATCH (e)-[:Ranks]->(h:Hypothesis)
 WHERE h.number = last AND h.rank = 1
 WITH e, concat(', ', h.nodes, ',') AS bound
+MATCH (e)-[:Asks]->(s:Slot)
+WHERE s.kind = 'entity' AND s.step <= $step
+WITH e, bound, max(s.number) AS newest
 MATCH (e)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Look:Entity)
-WHERE r.step <= $step AND (s.origin = r.origin OR (s.origin = 'model' AND r.origin = 'relation'))
+WHERE s.number > newest AND s.step <= $step AND r.step <= $step
+  AND (s.origin = r.origin OR (s.origin = 'model' AND r.origin = 'relation'))
   AND ((s.kind = 'condition' AND label(r) = 'Has' AND s.topic = r.topic
         AND bound CONTAINS concat(', ', s.node, '=', n.name, ','))
     OR (s.kind = 'edge' AND label(r) = 'Related' AND s.name = r.name AND (s.origin = 'model' OR s.frame = r.frame)
@@ -42,7 +46,10 @@ WITH s,
                        ELSE $repeats * pow(0.5, abs(frame - s.frame) / 15.0) END) AS total
 WITH collect(CASE WHEN total > 0 THEN s.number ELSE -1 END) AS resolved
 MATCH (e:Episode)-[:Asks]->(s:Slot)
-WHERE e.id = concat($run, '/', $question) AND (s.kind = 'condition' OR s.kind = 'edge')
+WHERE e.id = concat($run, '/', $question) AND s.kind = 'entity' AND s.step <= $step
+WITH e, resolved, max(s.number) AS newest
+MATCH (e)-[:Asks]->(s:Slot)
+WHERE (s.kind = 'condition' OR s.kind = 'edge') AND s.number > newest AND s.step <= $step
   AND NOT coalesce(list_contains(resolved, s.number), false)
 RETURN s.number AS part, s.kind AS kind, s.node AS node, s.other AS other, s.name AS name, s.value AS value,
        CASE WHEN s.frame < 0 THEN NULL ELSE s.frame END AS frame

@@ -44,7 +44,8 @@ def test_a_change_of_group_is_bracketed_by_readings():
     assert [is_in_group(tracks, "a", frame) for frame in (30, 45, 90)] == [False, None, True]
     assert group_changes(JOINS, tracks, {"a": "a"}) == {"j": 90}
     assert group_changes(JOINS, pictures({30: True, 60: True}), {"a": "a"}) == {}
-    # The state before is not known.
+    # The state before is not known, or is the same.
+    assert group_changes(JOINS, pictures({30: True, 60: False, 90: False, 120: True}), {"a": "a"}) == {"j": 120}
     assert group_changes(JOINS, pictures({60: True, 90: True}), {"a": "a"}) == {}
     plan = perceivable(JOINS, {"j": 90})
     conclusion = conclude(plan, tracks, rank(plan, tracks), (), range(0, 151, 15))
