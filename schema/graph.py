@@ -106,7 +106,7 @@ _ARROW: Final[dict[str, pa.DataType]] = {
 }
 """Types of columns that Arrow does not know by the same name."""
 
-STORAGE_VERSION: Final = 12
+STORAGE_VERSION: Final = 13
 """Version of the tables of the graph. A graph with another version must be built again."""
 
 

@@ -42,21 +42,18 @@ _BESIDE_DEG: Final = 10.0
 _LIKELY_S: Final = 10.0
 """Seconds between two events if one of them was not seen."""
 
-NEAREST: Final[dict[str, tuple[str, ...]]] = {
-    "walking": ("standing", "going upstairs", "going downstairs", "bending", "running", "cycling", "sitting"),
-    "standing": ("walking", "bending", "sitting", "going upstairs", "going downstairs", "cycling", "running"),
-    "sitting": ("bending", "standing", "walking", "lying"),
-    "bending": ("standing", "sitting", "walking", "cycling"),
-    "cycling": ("standing", "walking", "bending"),
-    "going upstairs": ("walking", "standing", "going downstairs"),
-    "going downstairs": ("walking", "standing", "going upstairs"),
-    "running": ("walking", "bending", "standing"),
-    "lying": ("sitting",),
-}
-"""Postures that change into a posture in adjacent keyframes of one person, the most frequent first.
+CHANGES: Final = (
+    *(("walking", "standing", 1215), ("walking", "going upstairs", 222), ("standing", "bending", 125)),
+    *(("walking", "going downstairs", 54), ("walking", "bending", 43), ("sitting", "bending", 27)),
+    *(("standing", "sitting", 22), ("standing", "going upstairs", 13), ("walking", "running", 7)),
+    *(("standing", "going downstairs", 6), ("walking", "sitting", 5), ("standing", "cycling", 4)),
+    *(("walking", "cycling", 3), ("sitting", "lying", 2), ("going upstairs", "going downstairs", 2)),
+    *(("standing", "running", 1), ("bending", "running", 1), ("bending", "cycling", 1)),
+)
+"""Pairs of postures, and how often a person's label changes from either to the other, the most frequent first.
 
-The order is by the counts of such changes in JRDB's action labels of 27 sequences, in both directions. The labels have
-no change of the other postures.
+Counted in JRDB's action labels of 27 sequences, between keyframes that are 15 frames apart, if both frames have exactly
+one posture of the person. Such postures are hard to tell apart, also for annotators. Other pairs do not occur.
 """
 
 _WEAKEST: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
@@ -148,6 +145,19 @@ def guess_choice(choices: Sequence[str]) -> Choice:
     return Choice(int.from_bytes(digest[:8], "big") % len(choices) + 1)
 
 
+def nearest_postures(posture: str) -> tuple[str, ...]:
+    """Return the postures that change into a posture, the most frequent first.
+
+    Args:
+        posture: The posture.
+
+    Returns:
+        Other postures.
+    """
+    pairs = [{first, last} for first, last, _ in CHANGES if posture in (first, last)]
+    return tuple((pair - {posture}).pop() for pair in pairs)
+
+
 def _is_neither(answer: Answer, choices: Sequence[str]) -> bool:
     """Return whether the answer says that a person was seen at neither time: misses have the same effect."""
     return isinstance(answer, Choice) and answer.choice == choice_of(PRESENCE_ANSWERS[3], choices)
@@ -215,7 +225,7 @@ class _Reader:
         """Return the offered posture that is nearest to the posture that was read, None without one."""
         tallies = [tally for tally in self.tracks.values(self.entity, "pose", frame) if tally.log_odds > 0]
         for tally in tallies[:1]:
-            for posture in NEAREST.get(tally.value, ()):
+            for posture in nearest_postures(tally.value):
                 if posture in values:
                     return Choice(values.index(posture) + 1)
         return None

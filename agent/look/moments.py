@@ -107,10 +107,16 @@ def group_changes(plan: Plan, tracks: Tracks, people: Mapping[str, str]) -> dict
         if time.is_group_event and (entity := people.get(time.of or "")) is not None:
             after = plan.times[time.after or ""].frame or 0
             states = _known_states(tracks, lambda frame, entity=entity: is_in_group(tracks, entity, frame))
-            bracket = change(states, after, time.event == "joins_group")
-            if bracket.high is not None and states.get(bracket.low, True) is not states[bracket.high]:
+            bracket = group_change(states, after, time.event == "joins_group")
+            if bracket.high is not None:
                 frames[name] = bracket.high
     return frames
+
+
+def group_change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
+    """Return the bracket of the first change to `wanted` from the opposite state, as `change` does from any state."""
+    opposite = min((frame for frame, state in states.items() if frame >= after and state is not wanted), default=None)
+    return Bracket(after, None, after) if opposite is None else change(states, opposite, wanted)._replace(after=after)
 
 
 def performs_at(tracks: Tracks, entity: str, action: str, frame: int) -> bool | None:
@@ -199,7 +205,8 @@ def brackets(plan: Plan, tracks: Tracks, entity: str) -> dict[str, Bracket]:
         before = ends[time.after].high if time.after in ends else plan.times[time.after].frame
         if before is not None:
             states = _known_states(tracks, _state_of(plan, tracks, entity, name, before))
-            ends[name] = change(states, before, time.event in ("start", "returns", "joins_group"))
+            find = group_change if time.is_group_event else change
+            ends[name] = find(states, before, time.event in ("start", "returns", "joins_group"))
     return ends
 
 

@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple
 from jrdb_avr.agent.perceive.geometry import (
     DERIVED,
     SeenColumns,
+    Truth,
     angle_of,
     around,
     at_distance,
@@ -46,10 +47,9 @@ CERTAIN: Final = 2.0
 
 
 class Support(NamedTuple):
-    """Evidence for one statement: the log-odds (capped), and the number of readings that say something."""
+    """Evidence for one statement: the log-odds, capped. 0 if no reading says something."""
 
     log_odds: float = 0.0
-    readings: int = 0
 
     @property
     def state(self) -> SlotState:
@@ -67,6 +67,9 @@ class Tally(NamedTuple):
     value: str
     log_odds: float
 
+
+TieKey = tuple[str, str, str]
+"""Source, name and target of a relation."""
 
 Vote = tuple[int, float]
 """Frame of a reading, and its log-odds for a statement (0 if the reading says nothing about the statement)."""
@@ -151,13 +154,8 @@ class Tracks:
         votes = self._votes(entity, name, value)
         if name == "interaction":
             # A positive reading of a relation of this name is a reading of the interaction too.
-            votes += [
-                (at, vote)
-                for (source, relation, target), ties in self._votes_of_ties.items()
-                if relation == value and entity in (source, target)
-                for at, vote in ties
-                if vote > 0
-            ]
+            ties = (votes for key, votes in self._tie_votes.items() if key[1] == value and entity in (key[0], key[2]))
+            votes += [(at, vote) for tie in ties for at, vote in tie if vote > 0]
         return self._support(votes, None if name in TIMELESS else frame)
 
     def _votes(self, entity: str, name: str, value: str) -> list[Vote]:
@@ -171,12 +169,12 @@ class Tracks:
         return votes
 
     def _support(self, votes: Sequence[Vote], frame: int | None) -> Support:
-        return Support(fuse(votes, frame, self.repeats), sum(vote != 0 for _, vote in votes))
+        return Support(fuse(votes, frame, self.repeats))
 
     def _group_size(self, entity: str, size: int, frame: int) -> Support:
         """Return the support for a number of people in a group: by relations, or as it was read."""
         at = self.nearest_looked(frame)
-        if not any(relation == SAME_GROUP for _, relation, *_ in self._ties):
+        if not any(relation == SAME_GROUP for _, relation, _ in self._tie_votes):
             return self._support(self._votes(entity, "group_size", str(size)), frame)
         known = len(self._group(entity, at))
         if not self.readings_at(entity, at) or (known < size and not covered(self.looks.get(at, ()))):
@@ -299,16 +297,27 @@ class Tracks:
         return support
 
     def _tie(self, source: str, relation: str, target: str, frame: int) -> Support:
-        return self._support(self._votes_of_ties.get(tie_key(source, relation, target), ()), frame)
+        return self._support(self._tie_votes.get(tie_key(source, relation, target), ()), frame)
+
+    def is_voted(self, key: TieKey, frame: int) -> bool:
+        """Return whether a reading at a frame is a vote on the relation with this key."""
+        return any(at == frame for at, _ in self._tie_votes.get(key, ()))
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
         boxes = self.boxes(at)
         if source not in boxes or target not in boxes:
             return Support()
-        holds = standing(relation, boxes, source, target, self.looks.get(at, ()))
+        key = relation, source, at
+        if key not in self._standing:
+            self._standing[key] = standing(relation, boxes, source, self.looks.get(at, ()))
+        holds = self._standing[key].get(target)
         return Support() if holds is None else self._support([(at, UNIT if holds else -UNIT)], frame)
 
     # -- tables that are computed once ------------------------------------------------------------------------------
+
+    @cached_property
+    def _standing(self) -> dict[tuple[str, str, int], dict[str, Truth]]:
+        return {}
 
     @cached_property
     def _by_frame(self) -> dict[tuple[str, int], list[PersonReading]]:
@@ -327,35 +336,25 @@ class Tracks:
         return {}
 
     @cached_property
-    def _votes_of_ties(self) -> dict[tuple[str, str, str], list[Vote]]:
-        """The votes on each relation, with the weight of each reading in its frame."""
-        table: dict[tuple[str, str, str], list[Vote]] = defaultdict(list)
-        for source, relation, target, at, vote in self._ties:
-            votes = table[tie_key(source, relation, target)]
-            repeated = any(frame == at for frame, _ in votes)
-            votes.append((at, vote * (self.repeats.frame if repeated else 1.0)))
+    def _tie_votes(self) -> dict[TieKey, list[Vote]]:
+        """The votes on each relation in the order of the pictures, with the weight of each reading in its frame."""
+        pairs = [(entity, reading) for entity, readings in self.people.items() for reading in readings]
+        entities = {(reading.observation, reading.number): entity for entity, reading in pairs}
+        # Names of observations count up, so that a longer name is a later one.
+        pairs.sort(key=lambda pair: (len(pair[1].observation), pair[1].observation, pair[1].number))
+        table: dict[TieKey, list[Vote]] = {}
+        for entity, reading in pairs:
+            for tie in sorted(reading.ties, key=lambda tie: tie.other):
+                target = entities.get((reading.observation, tie.other))
+                if target is not None:
+                    votes = table.setdefault(tie_key(entity, tie.relation, target), [])
+                    repeated = any(at == reading.frame for at, _ in votes)
+                    vote = signed(tie.holds, tie.confidence) * (self.repeats.frame if repeated else 1.0)
+                    votes.append((reading.frame, vote))
         return table
 
-    @cached_property
-    def _ties(self) -> list[tuple[str, str, str, int, float]]:
-        """The relations as read, in the order of the pictures: source, name, target, frame and log-odds."""
-        readings = [(reading, entity) for entity, items in self.people.items() for reading in items]
-        names = {(reading.observation, reading.number): entity for reading, entity in readings}
-        # Names of observations, such as o2 and o10, are in the order of their lengths first.
-        readings.sort(key=lambda item: (len(item[0].observation), item[0].observation, item[0].number))
-        return [
-            (entity, tie.relation, names[key], reading.frame, signed(tie.holds, tie.confidence))
-            for reading, entity in readings
-            for tie in sorted(reading.ties, key=lambda tie: tie.other)
-            if (key := (reading.observation, tie.other)) in names
-        ]
 
-    def is_voted(self, key: tuple[str, str, str], frame: int) -> bool:
-        """Return whether a reading at a frame votes on a relation, which is given by its `tie_key`."""
-        return any(at == frame for at, _ in self._votes_of_ties.get(key, ()))
-
-
-def tie_key(source: str, relation: str, target: str) -> tuple[str, str, str]:
+def tie_key(source: str, relation: str, target: str) -> TieKey:
     """Return source, name and target of a relation. A symmetric relation has the same key from both ends."""
     first, last = sorted((source, target)) if relation in SYMMETRIC else (source, target)
     return first, relation, last

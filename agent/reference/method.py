@@ -80,7 +80,7 @@ class ReferenceAgent:
         plan = perceivable(make_plan(attempt, self.limits.repairs, episode))
         fields = fields_of(plan, task.question.choices)
         heading = world_heading(heading, plan, fields)
-        return WorldMemory(attempt, episode, plan, fields, system, heading, advice, fixed=not self.looks)
+        return WorldMemory(attempt, episode, fields, system, heading, advice, fixed=not self.looks)
 
 
 # -- texts of the turns -----------------------------------------------------------------------------------------------

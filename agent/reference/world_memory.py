@@ -12,6 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
@@ -30,7 +32,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
     written_answer,
 )
-from jrdb_avr.agent.reference.turns import Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import UNKNOWN, Call, Turn, View, compact_json, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
@@ -64,16 +66,14 @@ _TOPICS: Final = ("gender", "age")
 class WorldMemory:
     """Memory of an agent with a world model: the episode of one question.
 
-    plan: the plan as pictures are read for it. heading: the lines that begin each user message.
-    advises: whether turns advise looks. fixed: whether each turn shows all views, because no look can be made. shown:
-    the views of the next turn: all, or the views about which nothing is written. counts: number of people written per
-    observation. proposed: the newest readable answer of the model. final_refused: whether a final answer was refused
-    because the graph does not support it.
+    heading: the lines that begin each user message. advises: whether turns advise looks. fixed: whether each turn shows
+    all views, because no look can be made. shown: the views of the next turn: all, or the views about which nothing is
+    written. counts: number of people written per observation. proposed: the newest readable answer of the model.
+    final_refused: whether a final answer was refused because the graph does not support it.
     """
 
     attempt: Attempt
     world: WorldEpisode
-    plan: Plan
     fields: Sequence[Field]
     system: str
     heading: str
@@ -85,6 +85,12 @@ class WorldMemory:
     final_refused: bool = False
     _bindings: tuple[RankedHypothesis, ...] | None = None
     _conclusion: Conclusion | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """The plan as pictures are read for it. The frames of group events follow from what was read."""
+        assert self.world.plan is not None, "a plan is set before the first turn"
+        return self.world.plan
 
     @property
     def tools(self) -> Collection[str]:
@@ -189,8 +195,9 @@ class WorldMemory:
         return name
 
     def refuse(self, call: Call, reason: str, step: int) -> None:
-        """Record a refused call in the graph."""
-        self.world.refuse(call.tool, call.arguments, reason, step)
+        """Record a refused call in the graph, unless it names no tool."""
+        if call.tool != UNKNOWN:
+            self.world.refuse(call.tool, _stored(call.arguments), reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
@@ -231,7 +238,8 @@ class WorldMemory:
         convention = self.attempt.convention
         observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
         for person, reason in faults:
-            self.world.refuse("add_people", {"observation": observation, "people": [person]}, reason, step)
+            arguments = {"observation": observation, "people": [person]}
+            self.world.refuse("add_people", _stored(arguments), printable(reason), step)
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
         self._add(observation, people, step)
@@ -388,6 +396,11 @@ class WorldMemory:
         frames = task.sequence.frames or (0,)
         middle = frames[len(frames) // 2]
         return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+
+
+def _stored(arguments: object) -> msgspec.Raw:
+    """Return arguments of a model as JSON that every table can hold."""
+    return msgspec.Raw(compact_json(arguments).encode())
 
 
 def _part_text(part: PlanPart) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from jrdb_avr.agent.simulated.profiles import PROFILES, USUAL, describe_settings, parse_errors
+from jrdb_avr.agent.simulated.profiles import PROFILES, USUAL, parse_errors
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.queries.store import Store
@@ -16,13 +16,8 @@ from jrdb_avr.schema.errors import AvrError
 
 def main() -> None:
     """Serve until stopped."""
-    table = "\n".join(f"  {name}={value}  {text}" for name, value, text in describe_settings())
-    parser = argparse.ArgumentParser(
-        prog="python -m jrdb_avr.agent.simulated",
-        description="Serve the simulated model, which reads the annotations of a store.",
-        epilog=f"Settings, with their defaults:\n{table}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    about = "Serve the simulated model, which reads the annotations of a store."
+    parser = argparse.ArgumentParser("python -m jrdb_avr.agent.simulated", description=about)
     parser.add_argument("--store", required=True, help="store with annotations")
     parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; default: a free one")
     parser.add_argument("--profile", choices=PROFILES, help="errors; default: the profile in the name of the model")

@@ -26,13 +26,12 @@ from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.simulated.fields import say
 from jrdb_avr.agent.simulated.noise import ReadPerson, View
 from jrdb_avr.agent.simulated.play_tools import tools_turn
-from jrdb_avr.agent.simulated.requests import Look, Play, Request, StageReply, stitched_box
+from jrdb_avr.agent.simulated.requests import Look, Play, Reply, Request, stitched_box
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, iou
 from jrdb_avr.schema.plan import Plan
 
-_MOST_FACTS: Final = 12
 _SHOWN_DEG: Final = 3.0
 """Maximum angle between a look and the person whom it was made to show again."""
 _TURN_DEG: Final = 1.5
@@ -87,7 +86,9 @@ class Thought:
         if conclusion is not None:
             return mode.written(conclusion.answer)
         if mode.is_choice:
-            return 1 + hashlib.sha256("\n".join(self.request.choices).encode()).digest()[0] % len(self.request.choices)
+            return 1 + hashlib.sha256("\n".join(self.request.choices).encode()).digest()[0] % max(
+                len(self.request.choices), 1
+            )
         return mode.written(mode.make((self.frames[0], self.frames[-1]), 180.0))
 
     def evidence(self, conclusion: Conclusion | None, looks: Iterable[Look]) -> list[tuple[Look, Box]]:
@@ -122,29 +123,23 @@ def _bbox(look: Look, box: Box) -> dict[str, Any]:
     return {"frame_id": f"{look.frame:06d}", "bbox": write_box(box, look.view.size)}
 
 
-def _missing(conclusion: Conclusion | None) -> list[str]:
-    return [] if conclusion is not None else ["no person was read"]
-
-
 # -- methods that look ------------------------------------------------------------------------------------------------
 
 
-def _react(request: Request) -> StageReply:
+def _react(request: Request) -> Reply:
     """Play a turn of ReAct: the next look, or the answer with the person's box in the newest picture."""
     thought, left = Thought(request), request.left("Looks made: ")
     request.legal()
     # The last look is for the box, which must be in the newest picture.
     look = thought.next_look(left - 1)
     if look is not None:
-        return StageReply({"action": "observe", **_placed(look.frame, look.angle)})
+        return {"action": "observe", **_placed(look.frame, look.angle)}
     conclusion = thought.conclude()
     again = _second_look(thought, conclusion) if left else None
     if again is not None:
-        return StageReply({"action": "observe", **_placed(*again)})
+        return {"action": "observe", **_placed(*again)}
     boxes = [_bbox(*shown) for shown in thought.evidence(conclusion, request.looks[-1:])]
-    return StageReply(
-        {"action": "answer", "answer": thought.answer(conclusion), "evidence_bboxes": boxes}, _missing(conclusion)
-    )
+    return {"action": "answer", "answer": thought.answer(conclusion), "evidence_bboxes": boxes}
 
 
 def _second_look(thought: Thought, conclusion: Conclusion | None) -> tuple[int, float] | None:
@@ -169,65 +164,59 @@ def _placed(frame: int, angle: float) -> dict[str, Any]:
     return {"frame_id": f"{frame:06d}", "angle_deg": round(angle % 360.0, 3) % 360.0}
 
 
-def _chat(request: Request) -> StageReply:
+def _chat(request: Request) -> Reply:
     """Play a turn of an agent without a world model: the next look, or the final answer."""
     thought, looks = Thought(request), request.looks
     if not any(look.panorama for look in looks):
         look = thought.next_look(request.left("Looks made: "))
         if look is not None:
-            return StageReply({"calls": [{"tool": "observe", **_placed(look.frame, look.angle)}]})
+            return {"calls": [{"tool": "observe", **_placed(look.frame, look.angle)}]}
     conclusion = thought.conclude()
     # Without a person, the call has no box. It is refused, and the question ends with an answer alone.
     place: dict[str, Any] = {"observation": looks[-1].name if looks else "o1", "box": []}
     for shown, box in thought.evidence(conclusion, looks)[:1]:
         place = {"observation": shown.name, "box": write_box(box, shown.view.size)}
     call = {"tool": "final_answer", "answer": thought.answer(conclusion), **place}
-    return StageReply({"calls": [call]}, _missing(conclusion))
+    return {"calls": [call]}
 
 
-def _agent(request: Request) -> StageReply:
+def _agent(request: Request) -> Reply:
     """Play a turn of an agent, with or without a world model."""
     return tools_turn(request) if request.line("World: ") is not None else _chat(request)
 
 
-def _plan(request: Request) -> StageReply:
+def _plan(request: Request) -> Reply:
     """Reply the question's plan. A refused plan is repeated, because the words have no other reading."""
-    return StageReply(msgspec.to_builtins(request.plan))
+    plan: Reply = msgspec.to_builtins(request.plan)
+    return plan
 
 
 # -- methods with fixed pictures --------------------------------------------------------------------------------------
 
 
-def _answer_at_once(request: Request) -> StageReply:
+def _answer_at_once(request: Request) -> Reply:
     """Answer and box from all panoramas."""
     thought = Thought(request)
     conclusion = thought.conclude()
     boxes = [_bbox(*shown) for shown in thought.evidence(conclusion, request.looks)[:1]]
-    return StageReply({"answer": thought.answer(conclusion), "evidence_bboxes": boxes}, _missing(conclusion))
+    return {"answer": thought.answer(conclusion), "evidence_bboxes": boxes}
 
 
-def _write_facts(request: Request) -> StageReply:
-    """Write what the panoramas show of the person, in sentences."""
-    thought = Thought(request)
-    conclusion = thought.conclude()
-    readings = () if conclusion is None else thought.tracks.people[conclusion.entity]
-    facts = [
-        f"Frame {reading.frame:06d}: the person is at panorama angle {reading.angle:.0f}: "
-        + (", ".join(label.value for label in reading.labels if label.holds) or "no more can be read")
-        for reading in readings
-    ]
-    return StageReply({"reasoning": facts[:_MOST_FACTS] or ["No person in the pictures fits the description."]})
+def _write_facts(request: Request) -> Reply:
+    """Write one sentence: the panorama and the angle that show the person."""
+    found = Thought(request).conclude()
+    if found is None:
+        return {"reasoning": ["No person in the pictures fits the description."]}
+    angle = center_angle(found.box.x, found.box.w)
+    return {"reasoning": [f"Frame {found.frame:06d} shows the person at panorama angle {angle:.0f}."]}
 
 
-def _propose(request: Request) -> StageReply:
+def _propose(request: Request) -> Reply:
     """Box the person in one of the panoramas."""
-    thought = Thought(request)
-    conclusion = thought.conclude()
-    boxes = [_bbox(*shown) for shown in thought.evidence(conclusion, request.looks)[:1]]
-    return StageReply({"evidence_bboxes": boxes}, None if boxes else _missing(conclusion))
+    return {"evidence_bboxes": _answer_at_once(request)["evidence_bboxes"]}
 
 
-def _refine(request: Request) -> StageReply:
+def _refine(request: Request) -> Reply:
     """Box the person in the middle of the crop, which is centred on the proposed box."""
     crop = next((look for look in request.looks if not look.panorama), None)
     if crop is None:
@@ -235,10 +224,10 @@ def _refine(request: Request) -> StageReply:
     middle = crop.view.width / 2
     people = sorted(crop.people, key=lambda person: abs(person.box.x + person.box.w / 2 - middle))
     boxes = [_bbox(crop, person.box) for person in people[:1]]
-    return StageReply({"evidence_bboxes": boxes}, None if boxes else ["no person was read in the crop"])
+    return {"evidence_bboxes": boxes}
 
 
-def _choose(request: Request) -> StageReply:
+def _choose(request: Request) -> Reply:
     """Answer about the person in the refined box."""
     thought = Thought(request)
     try:
@@ -251,7 +240,7 @@ def _choose(request: Request) -> StageReply:
         for person in look.people
     }
     conclusion = thought.conclude(max(overlaps, key=lambda entity: overlaps[entity], default=None))
-    return StageReply({"answer": thought.answer(conclusion)}, _missing(conclusion))
+    return {"answer": thought.answer(conclusion)}
 
 
 STAGES: Final[dict[str, Play]] = {

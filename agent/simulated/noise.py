@@ -20,6 +20,7 @@ from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, P
 from jrdb_avr.schema.panorama import FOCAL_ROWS, HEIGHT, HORIZON_ROW, WIDTH, Box
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.things import OBJECTS
 
 _T = TypeVar("_T")
 
@@ -55,7 +56,7 @@ _FARTHEST: Final = 20.0
 """Maximum error of a box's edge, in scales."""
 
 _OPTIONS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}
-_VALUES: Final = {"action": len(OTHER_ACTIONS), "interaction": len(INTERACTIONS)}
+_VALUES: Final = {"action": len(OTHER_ACTIONS), "interaction": len(INTERACTIONS), "object": len(OBJECTS)}
 _FACTORS: Final = (0.5, 0.7, 1.5, 2.0)
 """Factors of distances that are read wrongly."""
 
@@ -119,20 +120,60 @@ class ReadPerson:
 
     def label(self, name: str) -> str | None:
         """Return the gender, the age or the pose as it was read, or None if the model cannot tell."""
-        return self.reader.read_label(self.person, name)
+        values, errors = self.person.labels.get(name, frozenset()), self.reader.errors
+        if len(values) != 1 or self.person.track < 0:
+            return next(iter(values)) if len(values) == 1 else None
+        (value,) = values
+        other, rate = CONFUSED.get(value, ("", 0.0))
+        if name == "pose" and self._slip(rate * errors.pose, "confused") is not None:
+            return other
+        if name != "pose" and self._slip(errors.dropped, "dropped", name) is not None:
+            return None
+        rate = errors.wrong + (0.0 if name == "pose" else errors.added)
+        slip = self._slip(rate, "wrong", name)
+        return (
+            value if slip is None else slip.pick([option for option in _OPTIONS[name] if option != value], "as", name)
+        )
 
     def holds(self, name: str, value: str) -> bool | None:
         """Return whether an action, interaction or object was read, or None if the model cannot tell."""
-        return self.reader.read_statement(self.person, name, value)
+        values, errors = self.person.labels.get(name), self.reader.errors
+        if values is None:
+            return None
+        if value in values:
+            return self._slip(errors.dropped + errors.wrong, "dropped", name, value) is None
+        # The verb of an object, as in "holding: bag", may be called by another verb.
+        if {label.partition(": ")[0] for label in values} & may_be_called(value.partition(": ")[0]):
+            return None
+        return self._slip(errors.added + errors.wrong / _VALUES[name], "added", name, value) is not None
 
     def partners(self, relation: str, people: Sequence[ReadPerson]) -> list[int] | None:
         """Return the positions, from 1, of the people in a relation to the person. None if the model cannot tell."""
-        return self.reader.read_partners(self, relation, people)
+        tied, errors = self.person.ties.get(relation), self.reader.errors
+        if tied is None:
+            return None
+        others = {other.person.track: number for number, other in enumerate(people, 1) if other is not self}
+        found = set()
+        for track in tied & others.keys():
+            first, last = sorted((self.person.track, track))
+            if self.reader.slip(first, errors.dropped + errors.wrong, "dropped", relation, first, last) is None:
+                found.add(others[track])
+        if others and (slip := self._slip(errors.added + errors.wrong, "added", relation)) is not None:
+            found.add(others[slip.pick(sorted(others), "with", relation)])
+        return sorted(found)
 
     @property
     def metres(self) -> float | None:
-        """Distance from the robot as it was read, in metres."""
-        return self.reader.read_metres(self)
+        """Distance from the robot as it was read, in metres. Its error is the error of the box's height."""
+        metres = self.person.metres
+        if metres is None:
+            return None
+        if (slip := self._slip(self.reader.errors.wrong, "wrong", "metres")) is not None:
+            metres *= slip.pick(_FACTORS, "metres")
+        return round(metres * self.person.box.h / max(self.box.h, 1.0), 2)
+
+    def _slip(self, rate: float, *names: str) -> Draws | None:
+        return self.reader.slip(self.person.track, rate, *names)
 
 
 @dataclass(frozen=True)
@@ -177,7 +218,7 @@ class Reader:
         view = self.view
         return Draws(self.errors.seed, f"{view.sequence} {track} frame {view.frame} {view.left:g} {view.width:g}")
 
-    def _slip(self, track: int, rate: float, *names: object, levels: tuple[float, float] | None = None) -> Draws | None:
+    def slip(self, track: int, rate: float, *names: object, levels: tuple[float, float] | None = None) -> Draws | None:
         """Return the draws of an error that happens at a rate, or None if it does not happen."""
         if rate <= 0:
             return None
@@ -200,7 +241,7 @@ class Reader:
         if visible < LEAST_HEIGHT:
             return True
         rate = min(self.errors.miss * (_MISS_HEIGHT / visible) ** _MISS_POWER, _MOST_MISSED)
-        return self._slip(person.track, rate, "miss", levels=_MISS_LEVELS) is not None
+        return self.slip(person.track, rate, "miss", levels=_MISS_LEVELS) is not None
 
     def _identities(self, tracks: Sequence[int]) -> dict[int, int]:
         """Return the identity under which the model knows each person of the frame. No two have the same identity."""
@@ -242,69 +283,6 @@ class Reader:
             left, right = max(left, 0.0), min(right, self.view.width)
         top, bottom = max(top, 0.0), min(bottom, float(HEIGHT))
         return box if right - left < 2 or bottom - top < 2 else Box(left, top, right - left, bottom - top)
-
-    # -- what is read of a person -------------------------------------------------------------------------------------
-
-    def read_label(self, person: Person, name: str) -> str | None:
-        """Return the gender, the age or the pose of a person as it is read, or None if the model cannot tell."""
-        values = person.labels.get(name, frozenset())
-        if len(values) != 1:
-            return None
-        (value,) = values
-        if person.track < 0:
-            return value
-        errors = self.errors
-        if name == "pose" and value in CONFUSED:
-            other, rate = CONFUSED[value]
-            if self._slip(person.track, rate * errors.pose, "confused") is not None:
-                return other
-        if name != "pose" and self._slip(person.track, errors.dropped, "dropped", name) is not None:
-            return None
-        rate = errors.wrong + (0.0 if name == "pose" else errors.added)
-        if (slip := self._slip(person.track, rate, "wrong", name)) is not None:
-            return slip.pick([option for option in _OPTIONS[name] if option != value], "as", name)
-        return value
-
-    def read_statement(self, person: Person, name: str, value: str) -> bool | None:
-        """Return whether an action, interaction or object of a person is read, or None if the model cannot tell."""
-        values = person.labels.get(name)
-        if values is None:
-            return None
-        errors = self.errors
-        if value in values:
-            return self._slip(person.track, min(errors.dropped + errors.wrong, 1.0), "dropped", name, value) is None
-        word = value.partition(": ")[0] if name == "object" else value
-        kept = {each.partition(": ")[0] for each in values} if name == "object" else values
-        if kept & may_be_called(word):
-            return None
-        rate = errors.added + errors.wrong / _VALUES.get(name, 100)
-        return self._slip(person.track, rate, "added", name, value) is not None
-
-    def read_partners(self, person: ReadPerson, relation: str, people: Sequence[ReadPerson]) -> list[int] | None:
-        """Return the positions, from 1, of the people in a relation to a person. None if the model cannot tell."""
-        tied = person.person.ties.get(relation)
-        if tied is None:
-            return None
-        errors, track = self.errors, person.person.track
-        found = set()
-        others = [(number, other) for number, other in enumerate(people, 1) if other is not person]
-        for number, other in others:
-            pair = sorted((track, other.person.track))
-            rate = min(errors.dropped + errors.wrong, 1.0)
-            if other.person.track in tied and self._slip(pair[0], rate, "dropped", relation, *pair) is None:
-                found.add(number)
-        if others and (slip := self._slip(track, errors.added + errors.wrong, "added", relation)) is not None:
-            found.add(slip.pick(sorted(others, key=lambda each: each[1].person.track), "with", relation)[0])
-        return sorted(found)
-
-    def read_metres(self, person: ReadPerson) -> float | None:
-        """Return the distance of a person in metres. Its error is the error of the box's height."""
-        metres = person.person.metres
-        if metres is None:
-            return None
-        if (slip := self._slip(person.person.track, self.errors.wrong, "wrong", "metres")) is not None:
-            metres *= slip.pick(_FACTORS, "metres")
-        return round(metres * person.person.box.h / max(person.box.h, 1.0), 2)
 
 
 def _covered_share(box: Box, boxes: Sequence[Box]) -> float:

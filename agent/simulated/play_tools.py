@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.simulated.fields import NEAREST, START, read_fields, say
-from jrdb_avr.agent.simulated.requests import Look, Request, StageReply, box_in
+from jrdb_avr.agent.simulated.requests import Look, Reply, Request, box_in
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import angle_error
@@ -35,10 +35,9 @@ class _World(msgspec.Struct):
 _WORLD: Final = msgspec.json.Decoder(_World)
 _LOOKS: Final = msgspec.json.Decoder(list[Any])
 _WRITTEN: Final = re.compile(r"\d+\. add_people: (o\d+): ")
-_REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
 
 
-def tools_turn(request: Request) -> StageReply:
+def tools_turn(request: Request) -> Reply:
     """Play a turn.
 
     Args:
@@ -56,12 +55,11 @@ def tools_turn(request: Request) -> StageReply:
     calls = [_add_people(request, look) for look in request.looks if look.name not in written]
     look = None if passive else _next_look(request, world, advised)
     if look is not None:
-        return StageReply({"calls": [*calls, look]})
+        return {"calls": [*calls, look]}
     if calls:
         # The answer that the graph supports is known after these writes.
-        return StageReply({"calls": calls})
-    refused = any(_REFUSED.match(line) for line in request.lines)
-    return StageReply({"calls": [_final(request, world)]}, None if refused else world.open)
+        return {"calls": calls}
+    return {"calls": [_final(request, world)]}
 
 
 def _lines(request: Request) -> tuple[_World, list[Any] | None]:

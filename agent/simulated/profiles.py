@@ -18,27 +18,41 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Errors of the simulated model. With the defaults, the model reads every annotation as it is."""
+    """Errors of the simulated model. With the defaults, the model reads every annotation as it is.
 
-    person: Annotated[Share, Meta(description="share of an error rate that stays with a person in all pictures")] = 0.0
-    frame: Annotated[Share, Meta(description="share of an error rate that stays with a person at one frame")] = 0.0
-    wrong: Annotated[Share, Meta(description="rate of attributes that are read as any other value")] = 0.0
-    pose: Annotated[Share, Meta(description="factor of the measured rates at which postures are confused")] = 0.0
-    dropped: Annotated[Share, Meta(description="rate of true labels that are not read, postures excluded")] = 0.0
-    added: Annotated[Share, Meta(description="rate of false labels that are read, postures excluded")] = 0.0
-    miss: Annotated[Share, Meta(description="rate of missed people of 100 visible pixels; smaller ones more often")] = (
-        0.0
-    )
-    ghosts: Annotated[float, Meta(ge=0, le=9, description="mean number of false people at a frame, all round")] = 0.0
-    box: Annotated[Share, Meta(description="scale of the errors of a box's edges, in its width and height")] = 0.0
-    identity: Annotated[
-        Share, Meta(description="share of people taken for another person at another frame, and as many for a new one")
-    ] = 0.0
-    wrong_box: Annotated[Share, Meta(description="rate of boxes that are shifted by half of their width")] = 0.0
-    malformed: Annotated[Share, Meta(description="rate of replies that are not a JSON object")] = 0.0
-    latency: Annotated[float, Meta(ge=0, le=600, description="seconds that each reply waits")] = 0.0
-    seed: Annotated[int, Meta(ge=0, le=2**53, description="seed of all errors")] = 0
-    readings: Annotated[str, Meta(description="file with a detector's readings for the profile recorded")] = ""
+    Attributes:
+        person: Share of an error rate that stays with a person in all pictures.
+        frame: Share of an error rate that stays with a person at one frame.
+        wrong: Rate of attributes that are read as any other value.
+        pose: Factor of the measured rates at which postures are confused.
+        dropped: Rate of true labels that are not read, postures excluded.
+        added: Rate of false labels that are read, postures excluded.
+        miss: Rate of missed people of 100 visible pixels. Smaller people are missed more often.
+        ghosts: Mean number of false people at a frame, all round.
+        box: Scale of the errors of a box's edges, in its width and height.
+        identity: Share of people who are taken for another person at another frame, and as many for a new one.
+        wrong_box: Rate of boxes that are shifted by half of their width.
+        malformed: Rate of replies that are not a JSON object.
+        latency: Seconds that each reply waits.
+        seed: Seed of all errors.
+        readings: File with a detector's readings, for the profile `recorded`.
+    """
+
+    person: Share = 0.0
+    frame: Share = 0.0
+    wrong: Share = 0.0
+    pose: Share = 0.0
+    dropped: Share = 0.0
+    added: Share = 0.0
+    miss: Share = 0.0
+    ghosts: Annotated[float, Meta(ge=0, le=9)] = 0.0
+    box: Share = 0.0
+    identity: Share = 0.0
+    wrong_box: Share = 0.0
+    malformed: Share = 0.0
+    latency: Annotated[float, Meta(ge=0, le=600)] = 0.0
+    seed: Annotated[int, Meta(ge=0, le=2**53)] = 0
+    readings: str = ""
 
 
 PERFECT: Final = Errors()
@@ -111,9 +125,3 @@ def parse_errors(settings: Iterable[str], base: Errors = PERFECT) -> Errors:
 def changed_errors(errors: Errors) -> dict[str, Any]:
     """Return the settings that differ from those of the perfect profile, by name."""
     return {name: value for name, value in msgspec.structs.asdict(errors).items() if value != getattr(PERFECT, name)}
-
-
-def describe_settings() -> list[tuple[str, str, str]]:
-    """Return the name, the default and the meaning of each setting."""
-    forms: dict[str, Any] = msgspec.json.schema(Errors)["$defs"]["Errors"]["properties"]
-    return [(name, f"{getattr(PERFECT, name)}", form["description"]) for name, form in forms.items()]

@@ -11,7 +11,7 @@ import itertools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -105,14 +105,10 @@ class Request:
         return int(found[1])
 
 
-class StageReply(NamedTuple):
-    """Reply to a stage, and what was missing for it. `missing` is None unless the reply ends the question."""
+Reply = Mapping[str, Any]
+"""Reply to a stage."""
 
-    reply: Mapping[str, Any]
-    missing: list[str] | None = None
-
-
-Play = Callable[[Request], StageReply]
+Play = Callable[[Request], Reply]
 """Player of one stage: a pure function of the request. It raises DecodeError if the request lacks a line."""
 
 

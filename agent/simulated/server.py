@@ -29,11 +29,10 @@ from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
 from jrdb_avr.agent.simulated.recorded import RecordedReader
 from jrdb_avr.agent.simulated.requests import See, UserMessage, lines_of, read_request, view_of
 from jrdb_avr.agent.simulated.sight import Sight
-from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, forced, tool_calls, user_turns, with_stage
+from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, tool_calls, user_turns, with_stage
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, Box, iou
 
-_LONGEST_REQUEST: Final = 256 * 1024 * 1024
 _IMAGE_TOKENS: Final = 256
 _PICTURES: Final = 4096
 """Maximum number of pictures in memory, as they were read."""
@@ -43,32 +42,13 @@ class _Request(msgspec.Struct):
     messages: list[ChatMessage]
     model: str = SIMULATED
     response_format: Any = None
-    tools: list[Tool] | None = None
-    tool_choice: Any = None
-    parallel_tool_calls: bool | None = None
+    tools: list[Tool] = []
     stream: bool | None = None
-    n: int | None = None
-    functions: Any = None
-
-    @property
-    def usable_tools(self) -> list[Tool]:
-        """Tools that may be called."""
-        return [] if self.tool_choice == "none" else self.tools or []
 
     @property
     def turns(self) -> list[UserMessage]:
         """User messages, and the results of calls."""
-        return with_stage(user_turns(self.messages), self.usable_tools, self.tool_choice, STAGES)
-
-    def check(self) -> None:
-        """Raise DecodeError for a request that the server cannot serve."""
-        if self.stream:
-            raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
-        if self.n not in (None, 1):
-            raise DecodeError("the simulated model gives one choice: leave out n, or set it to 1")
-        if self.functions is not None:
-            raise DecodeError("the simulated model reads tools: declare them by tools in place of functions")
-        forced(self.tool_choice)
+        return with_stage(user_turns(self.messages), self.tools)
 
 
 # Made at import, because threads that meet a type first at the same time crash the decoder.
@@ -128,7 +108,8 @@ class Server(ThreadingHTTPServer):
             message = _REQUEST.decode(body)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise DecodeError(f"not a chat-completions request: {error}") from None
-        message.check()
+        if message.stream:
+            raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
         errors = self._errors or PROFILES[_profile_name(message.model)]
         see = functools.partial(self._see, errors)
         # Only programs that declare tools may send pictures without references.
@@ -138,15 +119,16 @@ class Server(ThreadingHTTPServer):
         if request is None:
             content = _probe_reply(message, see)
         else:
-            reply = STAGES[request.stage](request).reply
+            reply = STAGES[request.stage](request)
             content = msgspec.json.encode(reply).decode()
             draws = Draws(errors.seed, hashlib.sha256(body).hexdigest() if errors.malformed else "")
             if draws.happens(errors.malformed, "malformed"):
-                content = _malformed(content, draws)
-            elif message.usable_tools:
-                calls = tool_calls(reply, message.usable_tools, message.tool_choice, len(message.messages))
+                # The object lacks its end, or has prose around it.
+                content = draws.pick((content[:-1], f"Here is my reply: {content} I hope that this helps."), "how")
+            elif message.tools:
+                calls = tool_calls(reply, message.tools, len(message.messages))
         time.sleep(errors.latency)
-        return _completion(message, content, calls[:1] if message.parallel_tool_calls is False else calls)
+        return _completion(message, content, calls)
 
 
 def _profile_name(model: str) -> str:
@@ -154,32 +136,20 @@ def _profile_name(model: str) -> str:
     return name if name in PROFILES else USUAL
 
 
-def _malformed(content: str, draws: Draws) -> str:
-    """Return a JSON object as models spoil it: without its end, with prose around it, or with Python's quotes."""
-    spoiled = (content[:-1], f"Here is my reply: {content} I hope that this helps.", repr(msgspec.json.decode(content)))
-    return draws.pick(spoiled, "how")
-
-
 def _completion(request: _Request, content: str, calls: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
     images = sum(part.image_url is not None for part in parts)
     prompt_tokens = sum(len(part.text) for part in parts) // 4 + images * _IMAGE_TOKENS
     completion_tokens = len(content) // 4
-    answer: dict[str, Any] = {"role": "assistant", "content": content}
-    if calls:
-        answer |= {"content": None, "tool_calls": calls}
-    return {
-        "id": SIMULATED,
-        "object": "chat.completion",
-        "created": 0,
-        "model": request.model,
-        "choices": [{"index": 0, "finish_reason": "tool_calls" if calls else "stop", "message": answer}],
-        "usage": {
-            "prompt_tokens": prompt_tokens,
-            "completion_tokens": completion_tokens,
-            "total_tokens": prompt_tokens + completion_tokens,
-        },
+    tokens = {"prompt_tokens": prompt_tokens, "completion_tokens": completion_tokens}
+    answer = {"content": None, "tool_calls": calls} if calls else {"content": content}
+    choice = {
+        "index": 0,
+        "finish_reason": "tool_calls" if calls else "stop",
+        "message": {"role": "assistant", **answer},
     }
+    about = {"id": SIMULATED, "object": "chat.completion", "created": 0, "model": request.model}
+    return {**about, "choices": [choice], "usage": {**tokens, "total_tokens": sum(tokens.values())}}
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -191,21 +161,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit()) or int(length) > _LONGEST_REQUEST:
-            self.close_connection = True
-            self._refuse(413, "a request needs a Content-Length of at most 256 MB")
-            return
-        body = self.rfile.read(int(length))
-        if not self.path.endswith("/chat/completions"):
-            self._refuse(404, f"there is no {self.path}; use /v1/chat/completions")
-            return
+        body = self.rfile.read(int(length)) if re.fullmatch("[0-9]{1,9}", length) else b""
         try:
+            if not self.path.endswith("/chat/completions"):
+                raise DecodeError(f"there is no {self.path}; use /v1/chat/completions")
             self._send(200, self.server.reply(body))
         except DecodeError as error:
-            self._refuse(400, str(error))
-
-    def _refuse(self, status: int, message: str) -> None:
-        self._send(status, {"error": {"message": message}})
+            self._send(400, {"error": {"message": str(error)}})
 
     def _send(self, status: int, value: Mapping[str, Any]) -> None:
         data = msgspec.json.encode(value)
@@ -259,18 +221,12 @@ def _probe_reply(request: _Request, see: See) -> str:
         return msgspec.json.encode(_person_reply(text, parts, see)).decode()
     if found := _OBJECT.search(text):
         return found[1]
-    match request.response_format:
-        case {"type": "json_schema", "json_schema": {"schema": {"properties": {**properties}}}}:
-            return msgspec.json.encode({str(name): _first_value(form) for name, form in properties.items()}).decode()
+    form: Any = request.response_format or {}
+    if form.get("type") == "json_schema":
+        properties = form["json_schema"]["schema"].get("properties", {})
+        return msgspec.json.encode({name: value.get("enum", [None])[0] for name, value in properties.items()}).decode()
     found = _WORD.search(text)
     return found[1] if found else '{"ok":true}'
-
-
-def _first_value(schema: object) -> Any:
-    """Return the first value that a schema lists."""
-    match schema:
-        case {"enum": [value, *_]}:
-            return value
 
 
 def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:

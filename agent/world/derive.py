@@ -37,12 +37,13 @@ class Slot(NamedTuple):
         return None if self.row.frame == _ANY_FRAME else self.row.frame
 
 
-def slots_of(plan: Plan, episode: str) -> tuple[Slot, ...]:
+def slots_of(plan: Plan, episode: str, first: int = 0) -> tuple[Slot, ...]:
     """Return the slots of a plan.
 
     Args:
         plan: The plan, as `perceivable` returns it.
         episode: Key of the episode.
+        first: Number of the first slot.
 
     Returns:
         The slot that all entities fill, then the parts of the plan, then the presences.
@@ -50,7 +51,7 @@ def slots_of(plan: Plan, episode: str) -> tuple[Slot, ...]:
     slots: list[Slot] = []
 
     def add(kind: SlotKind, part: PlanPart | None, topic: str, origin: Origin, frame: int, node: str = "") -> None:
-        number = len(slots)
+        number = first + len(slots)
         ends = (node, "") if part is None else (*part.nodes, "")[:2]
         name, value, often = ("", YES, 1.0) if part is None else (part.name, part.value, part.often)
         value = YES if origin == "derived" else value

@@ -15,6 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.look.answer import Conclusion, conclude
+from jrdb_avr.agent.look.moments import group_changes
 from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, edges_of, join, parts_of
 from jrdb_avr.agent.perceive.fields import perceivable
 from jrdb_avr.agent.perceive.geometry import SeenColumns
@@ -114,6 +115,7 @@ class WorldEpisode:
         self._rows = EpisodeRows(run_id, question.question_id)
         self.key = self._rows.key
         self.plan: Plan | None = None
+        self._accepted: Plan | None = None
         self.tracks = Tracks({}, {}, repeats)
         self._slots: tuple[Slot, ...] = ()
         self._looks: dict[str, LookRow] = {}
@@ -129,9 +131,27 @@ class WorldEpisode:
 
     def set_plan(self, plan: Plan, step: int) -> None:
         """Write the slots of an accepted plan. An episode has one plan."""
-        self.plan = perceivable(plan)
-        self._slots = slots_of(self.plan, self.key)
-        self._write("plan", msgspec.Raw(canonical(plan).encode()), step, Fact(slots=tuple(s.row for s in self._slots)))
+        self._accepted = plan
+        self._set_slots(plan, perceivable(plan), step)
+
+    def _set_slots(self, accepted: Plan, plan: Plan, step: int, look: LookRow | None = None) -> None:
+        """Write the slots of a plan and, after a look, what follows for them. They replace older slots."""
+        self.plan = plan
+        self._slots = slots_of(plan, self.key, self._slots[-1].row.number + 1 if self._slots else 0)
+        fact = Fact(slots=tuple(slot.row for slot in self._slots))
+        if look is not None:
+            fact = self._with_evidence(fact, look, [], [], step)
+        self._write("plan", msgspec.Raw(canonical(accepted).encode()), step, fact)
+
+    def _follow_events(self, look: LookRow, step: int) -> None:
+        """Ask for the facts at group events at the frames at which the likeliest people were read to change groups."""
+        accepted = self._accepted
+        if accepted is None or not any(time.is_group_event for time in accepted.times.values()):
+            return
+        nodes = next((binding.nodes for binding in self.bindings()), {})
+        plan = perceivable(accepted, group_changes(accepted, self.tracks, nodes))
+        if plan != self.plan:
+            self._set_slots(accepted, plan, step, look)
 
     def observed(self, view: Observation | Panorama, step: int) -> str:
         """Write a look that was made.
@@ -194,6 +214,7 @@ class WorldEpisode:
         fact = Fact(entities=new, listed=listed, sighted=sighted)
         arguments = {"observation": observation, "people": names}
         self._write("add_people", arguments, step, self._with_evidence(fact, look, values, relations, step))
+        self._follow_events(look, step)
 
     def add_attribute(self, entity: str, observation: str, label: ReadLabel, step: int) -> None:
         """Write an attribute of an entity that has a sighting in a look.
@@ -221,6 +242,7 @@ class WorldEpisode:
         arguments = {"source": source, "observation": observation, "name": relation, "target": target}
         look, relations = self._look(observation), [*read_relations(before, pair)]
         self._write("add_relation", arguments, step, self._with_evidence(Fact(), look, [], relations, step))
+        self._follow_events(look, step)
 
     def refuse(self, tool: Tool, arguments: object, reason: str, step: int) -> None:
         """Record a refused call, which changes nothing."""
@@ -423,16 +445,20 @@ class _Evidence:
         self._slots, self._repeats = slots, repeats
         self.rows = {"slots": singles, "pairs": pairs}
         self._votes: dict[tuple[int, str, str], list[Vote]] = defaultdict(list)
+        numbered = {slot.row.number: slot for slot in slots}
+        # Rows of replaced slots are left out.
+        singles, pairs = ([row for row in rows if row["slot"] in numbered] for rows in (singles, pairs))
         for row in singles:
             self._votes[row["slot"], row["entity"], ""].append((row["frame"], row["weight"]))
         for row in pairs:
             ends = row["source"], row["target"]
-            symmetric = slots[row["slot"]].row.name in SYMMETRIC and slots[row["slot"]].row.origin == "model"
+            slot = numbered[row["slot"]].row
+            symmetric = slot.name in SYMMETRIC and slot.origin == "model"
             for source, target in (ends, ends[::-1]) if symmetric else (ends,):
                 self._votes[row["slot"], source, target].append((row["frame"], row["weight"]))
         self.parts = [slot for slot in slots if slot.part is not None]
         edges = edges_of(plan)
-        entities = {row["entity"] for row in singles if slots[row["slot"]].row.topic == ENTITY_TOPIC}
+        entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}
         alone = {
             (node.id, entity): sum(
                 self._log_odds(slot, entity)
@@ -447,7 +473,7 @@ class _Evidence:
         first = next((slot.row.number for slot in slots if slot.row.kind == "edge"), 0)
         table = {
             (number - first, source, target): edges[number - first].evidence(
-                self.support(slots[number], source, target).log_odds
+                self.support(numbered[number], source, target).log_odds
             )
             for number, source, target in self._votes
             if target
@@ -457,7 +483,7 @@ class _Evidence:
     def support(self, slot: Slot, entity: str, other: str = "") -> Support:
         """Return the support of a slot for an entity or a pair."""
         votes = self._votes.get((slot.row.number, entity, other), [])
-        return Support(fuse(votes, slot.frame, self._repeats), len(votes))
+        return Support(fuse(votes, slot.frame, self._repeats))
 
     def _log_odds(self, slot: Slot, entity: str) -> float:
         return sum(weight for _, weight in self._votes.get((slot.row.number, entity, ""), []))

@@ -163,6 +163,8 @@ def evaluate(
         endpoint = None
         if model != NO_MODEL:
             endpoint = stack.enter_context(_connect(run, method, model, options, errors))
+            if world is not None:
+                world.repeats = endpoint.repeats
         player = _make(method, endpoint, world, playing)
         settings = {
             "method": player.settings(),

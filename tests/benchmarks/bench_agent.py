@@ -9,19 +9,23 @@ stopped benchmark continues. A whole comparison takes about two CPU hours.
 from __future__ import annotations
 
 import argparse
-import functools
+import contextlib
 import json
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
+from unittest import mock
 
 import numpy as np
 import pyarrow.compute as pc
 
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.reference.turns import Turn
+from jrdb_avr.agent.reference.world_memory import WorldMemory
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio
 from jrdb_avr.engine.report.comparison import report
@@ -105,14 +109,31 @@ def make_store(root: Path, out: Path) -> Path:
 
 def make_run(run: Run) -> None:
     """Make a run, or continue it."""
-    identity = {"identity": 0.0} if run.case.variant == "identity perfect" else {}
-    advice = {"advice off": "off", "advice early": "early"}.get(run.case.variant, "on")
+    variant = run.case.variant
+    simulate = (f"seed={run.seed}", *(("identity=0",) if variant == "identity perfect" else ()))
     options = EvaluateOptions(
         selection=QuestionSelection(questions=run.questions),
-        method=MethodOptions(simulate={"seed": run.seed, **identity}, advice=advice),
+        method=MethodOptions(simulate=simulate, advice="off" if variant == "advice off" else "on"),
         run=RunOptions(run_id=run.run_id, resume=True),
     )
-    evaluate(Store(run.store), run.case.method, f"simulated:{run.case.profile}", options)
+    with early_advice() if variant == "advice early" else contextlib.nullcontext():
+        evaluate(Store(run.store), run.case.method, f"simulated:{run.case.profile}", options)
+
+
+@contextlib.contextmanager
+def early_advice() -> Iterator[None]:
+    """Let the agent look at what the graph advised before the newest writes, inside the `with` block."""
+    messages, advised = WorldMemory.messages, {}
+
+    def show(memory: WorldMemory, turn: Turn) -> list[Message]:
+        advised[id(memory)] = memory.advised_looks(turn.looks[1])
+        return messages(memory, turn)
+
+    with (
+        mock.patch.object(WorldMemory, "messages", show),
+        mock.patch.object(WorldMemory, "due_looks", lambda memory, left: advised.get(id(memory), ())[:1]),
+    ):
+        yield
 
 
 class Measured(NamedTuple):
@@ -152,7 +173,9 @@ def measure(runs: Sequence[Run]) -> Measured:
             sums[column] += pc.sum(predictions[column]).as_py() or 0
         count += len(predictions)
     means = {question: float(np.mean(scores)) for question, scores in combined.items()}
-    return Measured(means, sequence, (certain, right), {name: total / count for name, total in sums.items()} | {"n": count})
+    return Measured(
+        means, sequence, (certain, right), {name: total / count for name, total in sums.items()} | {"n": count}
+    )
 
 
 def compare(first: Measured, second: Measured) -> tuple[float, float, float]:
@@ -238,7 +261,9 @@ def main() -> None:
     print("\nDifferences of combined in points, with 95 % intervals over sequences.")
     print_differences(results)
     if given.json is not None:
-        figures = [{**case._asdict(), **measured.figures, "certain": measured.certain} for case, measured in results.items()]
+        figures = [
+            {**case._asdict(), **measured.figures, "certain": measured.certain} for case, measured in results.items()
+        ]
         given.json.write_text(json.dumps(figures, indent=1))
 
 

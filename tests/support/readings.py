@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from jrdb_avr.agent.perceive.association import with_picture
 from jrdb_avr.agent.look.attention import next_looks
+from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.geometry import SeenColumns, first_beside, seen_from
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
-from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.loaders.intervals.derive import derive
@@ -168,12 +167,9 @@ VALUES = {"gender": GENDERS, "age": AGES, "action": POSES}
 
 @dataclass(frozen=True)
 class Noise:
-    """wrong: per attribute; correlated: share of misreadings that are the person's; wrong_box, miss: per person and
-    picture; jitter: of a box's sides, as a share of its size.
-    """
+    """wrong: per attribute; wrong_box, miss: per person and picture; jitter: of a box's sides, as a share of them."""
 
     wrong: float = 0.0
-    correlated: float = 0.0
     wrong_box: float = 0.0
     miss: float = 0.0
     jitter: float = 0.03
@@ -189,7 +185,6 @@ class ReadWorld:
         self.rng = rng
         self.names = [f"t{n}" for n in range(people)]
         self.values = {who: {name: rng.choice(words) for name, words in VALUES.items()} for who in self.names}
-        self.slips = {}
         self.later = {}
         self.away = {}
         self.places = {who: self._walk(frames) for who in self.names}
@@ -235,10 +230,6 @@ class ReadWorld:
     def _value(self, who, name, frame, noise):
         rng, true = self.rng, self.value(who, name, frame)
         others = [word for word in VALUES[name] if word != true]
-        if (who, name, true) not in self.slips:
-            self.slips[who, name, true] = rng.choice(others) if rng.random() < noise.wrong else true
-        if rng.random() < noise.correlated:
-            return self.slips[who, name, true]
         return rng.choice(others) if rng.random() < noise.wrong else true
 
     def picture(self, frame, angle, noise, observation="o"):
@@ -248,61 +239,30 @@ class ReadWorld:
         there = [who for who in there if self.rng.random() >= noise.miss]
         return [self.read(who, frame, observation, n, noise) for n, who in enumerate(there)], there
 
-    def watched(self, looks, noise):
-        """The tracks after looks at (frame, angle), and the name of everybody read, by observation and number."""
-        tracks, truth = Tracks({}, {}), {}
-        for place, (frame, angle) in enumerate(looks):
-            readings, names = self.picture(frame, angle, noise, f"o{place}")
-            truth |= {(one.observation, one.number): who for one, who in zip(readings, names, strict=True)}
-            tracks = with_picture(tracks, frame, seen_from(angle), readings)
-        return tracks, truth
-
-    def read_round(self, times, noise, known=True):
-        """The tracks after everybody was read so many times at `FRAME`; by who they are, or by association."""
-        looks = [(FRAME, angle) for _ in range(times) for angle in range(0, 360, 40)]
-        if not known:
-            tracks, self.truth = self.watched(looks, noise)
-            return tracks
+    def read_round(self, times, noise):
+        """The tracks after everybody was read so many times at `FRAME`."""
         people = {
             who: tuple(self.read(who, FRAME, f"o{k}", n, noise) for k in range(times))
             for n, who in enumerate(self.names)
         }
-        self.truth = {(one.observation, one.number): who for who, readings in people.items() for one in readings}
-        return Tracks(people, {FRAME: tuple(seen_from(angle) for _, angle in looks)})
+        looks = [seen_from(angle) for _ in range(times) for angle in range(0, 360, 40)]
+        return Tracks(people, {FRAME: tuple(looks)})
 
     def explored(self, plan, noise, looks=24):
         """Look as attention says: the tracks, the looks and the entity taken for the target."""
-        tracks, made, self.truth = Tracks({}, {}), [], {}
+        tracks, made = Tracks({}, {}), []
         frames = range(len(next(iter(self.places.values()))))
-        while found := next_looks(plan, tracks, rank(plan, tracks), looks - len(made), frames):
-            look = found[0]
+        while advised := next_looks(plan, tracks, rank(plan, tracks), looks - len(made), frames):
+            look = advised[0]
             readings, names = self.picture(look.frame, look.angle, noise, f"o{len(made)}")
-            self.truth |= {(one.observation, one.number): who for one, who in zip(readings, names, strict=True)}
-            tracks = with_picture(tracks, look.frame, seen_from(look.angle), readings)
+            tracks = tracks.with_people(seen_from(look.angle), look.frame, list(zip(names, readings, strict=True)))
             made.append(look)
-        return tracks, made, rank(plan, tracks)[0].nodes.get(plan.target)
+        return tracks, made, self.found(plan, tracks)
 
     def found(self, plan, tracks):
         """The name of the person whom the best hypothesis takes for the target."""
-        who = rank(plan, tracks)[0].nodes.get(plan.target)
-        names = [self.truth[one.observation, one.number] for one in tracks.people.get(who, ())]
-        return max(names, key=names.count, default=None)
-
-
-def pairwise(tracks, truth):
-    """Pairs of readings that are rightly, wrongly and not taken for one person."""
-    entity = {(one.observation, one.number): who for who, readings in tracks.people.items() for one in readings}
-    right = wrong = lost = 0
-    for one, other in itertools.combinations(entity, 2):
-        together, same = entity[one] == entity[other], truth[one] == truth[other]
-        right += together and same
-        wrong += together and not same
-        lost += same and not together
-    return right, wrong, lost
-
-
-def f1(right, wrong, lost):
-    return 2 * right / max(2 * right + wrong + lost, 1)
+        ranked = rank(plan, tracks)
+        return ranked[0].nodes.get(plan.target) if ranked else None
 
 
 # -- finding the person of a plan -------------------------------------------------------------------------------------
@@ -317,17 +277,13 @@ class Identified(NamedTuple):
     newest: float
 
 
-def identified(seeds, readings, noise, people=8, known=True):
-    """How often the target of a random plan is found after each person was read so many times.
-
-    known: readings are joined by who was read; else by association, and the target is found where most readings of the
-    entity are its.
-    """
+def identified(seeds, readings, noise, people=8):
+    """How often the target of a random plan is found after each person was read so many times."""
     votes = newest = 0
     for seed in seeds:
         world = ReadWorld(random.Random(seed), people)
         plan, target = asked_of(world)
-        tracks = world.read_round(readings, noise, known)
+        tracks = world.read_round(readings, noise)
         # As one look all round would show them: a reading that was dropped is no look that failed to show somebody.
         last = Tracks({who: read[-1:] for who, read in tracks.people.items()}, {FRAME: (SeenColumns(0, WIDTH),)})
         votes += world.found(plan, tracks) == target
@@ -345,14 +301,13 @@ def asked_of(world):
                 if any(all(_may_fit(world, o, who, n) for n in names) for o in world.names if o != who):
                     continue
                 conditions = tuple(_condition(name, world.values[who][name]) for name in names)
-                nexts = [o for o in world.names if o != who and first_beside(boxes, who, o, "left", looks)]
+                nexts = [o for o in world.names if o != who and first_beside(boxes, who, "left", looks)[o]]
                 if nexts and world.rng.random() < 0.5:
                     edges = (Edge("a", FIRST_LEFT, "b", "t0"),)
                     return _plan((Node("a", conditions), Node("b")), edges), nexts[0]
                 return _plan((Node("a", conditions),), ()), who
         # Nobody is unlike all others.
         world.values[world.names[0]] = {name: world.rng.choice(words) for name, words in VALUES.items()}
-        world.slips.clear()
 
 
 def _may_fit(world, other, who, name):

@@ -1,6 +1,7 @@
 """The answer that is read from fused readings, and the course of what somebody does, against every course there is."""
 
 import itertools
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -9,14 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from readings import WOMAN, reading_at, toward
 
-from jrdb_avr.agent.look.answer import conclude
+from jrdb_avr.agent.look.answer import CHANGES, conclude, guess_choice, nearest_postures
 from jrdb_avr.agent.look.attention import next_looks
-from jrdb_avr.agent.perceive.geometry import SeenColumns, seen_from
 from jrdb_avr.agent.look.moments import CHANGE, Bracket, brackets, likeliest_course, postures
-from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.look.ranking import rank
+from jrdb_avr.agent.perceive.geometry import SeenColumns, seen_from
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.answers import Choice, Number
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import AnswerSpec, Plan, Time
 
@@ -29,9 +31,7 @@ def read(frame, *poses, observation="o", metres=None):
 
 
 def woman(*readings):
-    named = [
-        PersonReading(f"o{n}", 1, one.frame, one.box, one.labels, metres=one.metres) for n, one in enumerate(readings)
-    ]
+    named = [replace(one, observation=f"o{n}") for n, one in enumerate(readings)]
     looks = {one.frame: (seen_from(100.0),) for one in named} | {15: (SeenColumns(0, WIDTH),)}
     return Tracks({"p1": tuple(named)}, looks)
 
@@ -64,8 +64,10 @@ def test_the_course_is_the_best_of_all_courses(votes):
 def test_a_reading_amid_others_is_no_change_and_the_last_one_is():
     read_once = woman(read(15, "standing"), read(60, "cycling"), read(105, "standing"), read(150, "sitting"))
     assert [*postures(read_once, "p1", 0).values()] == ["standing", "standing", "standing", "sitting"]
-    twice = woman(read(15, "standing"), read(60, "cycling"), read(60, "cycling"), read(105, "standing"))
-    assert [*postures(twice, "p1", 0).values()] == ["standing", "cycling", "standing"]
+    lasting = woman(
+        *(read(frame, pose) for frame, pose in ((15, "standing"), (60, "cycling"), (75, "cycling"), (90, "standing")))
+    )
+    assert [*postures(lasting, "p1", 0).values()] == ["standing", "cycling", "cycling", "standing"]
 
 
 def test_a_posture_ends_where_it_stays_away():
@@ -90,20 +92,96 @@ def test_seconds_to_an_event_that_was_not_seen_go_to_the_middle_of_the_time_left
     assert answer(plan, woman(sits[0])) == Number(10.0)
 
 
-def test_the_box_is_one_that_two_readings_agree_on():
+def test_the_evidence_is_a_whole_box_at_a_frame_of_the_description():
     plan = reading_at(WOMAN, "action", "multiple_choice", 300)
 
     def shown(*readings):
-        found = conclude(plan, tracks := woman(*readings), rank(plan, tracks), ("sitting", "walking"), FRAMES)
-        return found.answer, found.frame, found.box.votes
+        conclusion = conclude(plan, tracks := woman(*readings), rank(plan, tracks), ("sitting", "walking"), FRAMES)
+        return conclusion.answer, conclusion.frame
 
     # The answer is read where it is asked for; the box may be of any frame.
-    described = [read(15, "standing"), read(15, "standing")]
-    assert shown(*described, read(300, "walking")) == (Choice(2), 15, 2)
-    assert shown(*described, read(300, "walking"), read(300, "walking")) == (Choice(2), 15, 2)
-    # Two readings that agree elsewhere are better than one at the frame of the description.
-    assert shown(described[0], read(300, "walking"), read(300, "walking")) == (Choice(2), 300, 2)
-    assert shown(described[0], read(300, "walking")) == (Choice(2), 15, 1)
+    described, later = read(15, "standing"), read(300, "walking")
+    assert shown(described, later) == (Choice(2), 15)
+    assert shown(replace(described, whole=False), later) == (Choice(2), 300)
+    assert shown(replace(described, whole=False), replace(later, whole=False)) == (Choice(2), 15)
+    assert shown(read(30, "standing"), read(60), later) == (Choice(2), 300)
+
+
+ACTION = reading_at(WOMAN, "action", "multiple_choice", 15)
+OFFERED = ("walking", "standing", "writing", "reading", "holding sth")
+
+
+LABELS_READ = st.tuples(st.sampled_from(OFFERED), st.booleans(), st.sampled_from((0, 15, 30)))
+
+
+@given(st.lists(LABELS_READ, min_size=1, max_size=6), st.permutations(OFFERED))
+@settings(max_examples=examples(60))
+def test_the_answer_is_the_offered_label_with_the_highest_log_odds(votes, choices):
+    readings = [replace(read(at), labels=(ReadLabel("action", label, holds),)) for label, holds, at in votes]
+    tracks = woman(*readings)
+    odds = [tracks.statement("p1", "action", label, 15).log_odds for label in choices]
+    conclusion = conclude(ACTION, tracks, rank(ACTION, tracks), choices, FRAMES)
+    if max(odds) > 0:
+        assert odds[conclusion.answer.choice - 1] == max(odds)
+    elif not any(tally.log_odds > 0 for tally in tracks.values("p1", "pose", 15)):
+        assert (conclusion.answer, conclusion.verdict) == (guess_choice(choices), "guess")
+
+
+@pytest.mark.parametrize(
+    ("pose", "choices", "expected"),
+    [
+        ("standing", ("scooter", "cycling", "walking", "lying down"), "walking"),
+        ("walking", ("sitting", "lying down", "bending"), "bending"),
+        ("sitting", ("walking", "cycling", "standing"), "standing"),
+    ],
+)
+def test_a_posture_that_is_not_offered_is_the_nearest_offered_one(pose, choices, expected):
+    tracks = woman(read(15, pose))
+    conclusion = conclude(ACTION, tracks, rank(ACTION, tracks), choices, FRAMES)
+    assert choices[conclusion.answer.choice - 1] == expected and conclusion.verdict == "supported"
+
+
+def test_a_guess_depends_on_the_choices_alone_and_favors_no_position():
+    choices = ("scooter", "skating")
+    for pose in ("sitting", "standing"):
+        conclusion = conclude(ACTION, tracks := woman(read(15, pose)), rank(ACTION, tracks), choices, FRAMES)
+        assert (conclusion.answer, conclusion.verdict) == (guess_choice(choices), "guess")
+    picked = Counter(guess_choice([f"{n}", "a", "b", "c"]).choice for n in range(400))
+    assert set(picked) == {1, 2, 3, 4} and min(picked.values()) > 60
+
+
+def test_changes_of_postures_are_pairs_in_the_order_of_their_counts():
+    pairs = [frozenset(pair) for *pair, _ in CHANGES]
+    assert len(set(pairs)) == len(pairs) and all(len(pair) == 2 and pair <= set(POSES) for pair in pairs)
+    counts = [count for *_, count in CHANGES]
+    assert counts == sorted(counts, reverse=True) and counts[-1] > 0
+    assert nearest_postures("bending") == ("standing", "walking", "sitting", "running", "cycling")
+    assert nearest_postures("skating") == ()
+
+
+def test_a_verdict_is_certain_only_if_person_and_answer_are():
+    choices = ("walking", "standing", "sitting")
+
+    def verdict(*readings, plan=ACTION, choices=choices, **others):
+        tracks = woman(*readings)
+        tracks = Tracks({**tracks.people, **others}, tracks.looks)
+        return conclude(plan, tracks, rank(plan, tracks), choices, FRAMES).verdict
+
+    stands = read(15, "standing")
+    assert verdict(stands) == "certain"
+    # Another woman is as likely, and small people are often read wrongly.
+    assert verdict(stands, p2=(read(15, "walking"),)) == "supported"
+    assert verdict(replace(stands, box=stands.box._replace(h=79.0))) == "supported"
+    # An open part of the plan, a doubtful answer and an answer that was not read.
+    assert verdict(replace(stands, labels=stands.labels[1:])) == "guess"
+    doubt = replace(stands, labels=(stands.labels[0], ReadLabel("action", "standing", True, 0.7)))
+    assert verdict(doubt) == "supported"
+    assert verdict(read(15, "bending")) == "supported" and verdict(read(15)) == "guess"
+    man = replace(stands, labels=(ReadLabel("gender", "male"), *stands.labels[1:]))
+    assert verdict(man) == "guess"
+    # Misses look the same as an absence.
+    gone = reading_at(WOMAN, "presence", "multiple_choice", 300, 600)
+    assert verdict(read(15), plan=gone, choices=PRESENCE_ANSWERS) in ("supported", "guess")
 
 
 def test_a_choice_that_is_no_number_of_people_is_passed_over():
@@ -113,13 +191,14 @@ def test_a_choice_that_is_no_number_of_people_is_passed_over():
     assert answer(plan, woman(alone), ("9" * 5000, "many", "1")) == Choice(3)
 
 
-def test_distances_that_contradict_each_other_are_read_a_third_time():
+def test_a_distance_that_could_not_be_read_is_read_again():
     plan = reading_at(WOMAN, "distance_change", "multiple_choice", 15, 90)
-    alike = [read(frame, metres=3.0) for frame in (15, 15, 90, 90)]
+    first, last, unread = read(15, metres=3.0), read(90, metres=6.0), read(90)
 
     def look(*readings):
         tracks = woman(*readings)
         return next(iter(next_looks(plan, tracks, rank(plan, tracks), 4, FRAMES)), None)
 
-    assert look(*alike) is None
-    assert look(*alike[:3], read(90, metres=6.0)).frame == 90
+    assert look(first, last) is None
+    assert look(first, unread).frame == 90
+    assert answer(plan, woman(first, last), DISTANCE_ANSWERS) == Choice(2)

@@ -3,7 +3,7 @@
 from readings import SeenColumns
 
 from jrdb_avr.agent.look.answer import conclude
-from jrdb_avr.agent.look.moments import group_changes, in_group
+from jrdb_avr.agent.look.moments import group_changes, is_in_group
 from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.fields import fields_of, perceivable
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
@@ -41,10 +41,11 @@ def test_facts_at_a_group_event_are_read_at_its_frame():
 
 def test_a_change_of_group_is_bracketed_by_readings():
     tracks = pictures({30: False, 60: False, 90: True, 120: True})
-    assert [in_group(tracks, "a", frame) for frame in (30, 45, 90)] == [False, None, True]
+    assert [is_in_group(tracks, "a", frame) for frame in (30, 45, 90)] == [False, None, True]
     assert group_changes(JOINS, tracks, {"a": "a"}) == {"j": 90}
     assert group_changes(JOINS, pictures({30: True, 60: True}), {"a": "a"}) == {}
-    # The state before is not known.
+    # The state before is not known, or is the same.
+    assert group_changes(JOINS, pictures({30: True, 60: False, 90: False, 120: True}), {"a": "a"}) == {"j": 120}
     assert group_changes(JOINS, pictures({60: True, 90: True}), {"a": "a"}) == {}
     plan = perceivable(JOINS, {"j": 90})
     conclusion = conclude(plan, tracks, rank(plan, tracks), (), range(0, 151, 15))

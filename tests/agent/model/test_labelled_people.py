@@ -56,7 +56,9 @@ def test_a_stated_label_is_right_or_wrong(reply, errors):
 
 
 def test_a_label_that_the_person_may_be_called_too_is_no_error():
-    assert find_errors(Reply(content='{"pose": "sitting"}'), view("p", {"pose": "bending"}), CONTRACT) == {"pose": False}
+    assert find_errors(Reply(content='{"pose": "sitting"}'), view("p", {"pose": "bending"}), CONTRACT) == {
+        "pose": False
+    }
 
 
 def reader(people, frame, person):

@@ -1,18 +1,20 @@
 """The statements over a world model sum what readings say, and decide the bindings and the answer."""
 
+import itertools
 import random
 
 import numpy as np
 import pytest
 
 from jrdb_avr.agent.look.answer import conclude
+from jrdb_avr.agent.look.moments import group_changes
 from jrdb_avr.agent.look.ranking import rank, slot_supports
 from jrdb_avr.agent.perceive.fields import perceivable
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
 from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Observation, Question
+from jrdb_avr.schema.method import Observation, Panorama, Question
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, validate
 from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
@@ -74,7 +76,8 @@ def facts(tracks):
         for who, readings in tracks.people.items()
         for one in readings
     }
-    return tracks.looks, boxes, sorted(tracks._ties)
+    ties = sorted((key, at, vote > 0) for key, votes in tracks._tie_votes.items() for at, vote in votes)
+    return tracks.looks, boxes, ties
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -95,6 +98,45 @@ def test_statements_bind_and_answer_as_readings_do_after_every_write(graph, seed
             assert slots == pytest.approx([s.support.log_odds for s in slot_supports(plan, episode.tracks, found[0])])
             assert episode.conclude(CHOICES, FRAMES) == conclude(plan, episode.tracks, oracle, CHOICES, FRAMES)
             assert facts(episode.read_tracks()) == facts(episode.tracks)
+
+
+JOINED = Plan(
+    "a", "a", {"t0": Time(frame=60), "j": Time(event="joins_group", of="a", after="t0"), "m": Time(before="j")},
+    (Node("a", (Condition(action="walking", at="m"), Condition(attribute="sector", value="left", at="j"))), Node("b")),
+    (Edge("a", SAME_GROUP, "b", "j"),),
+    AnswerSpec("multiple_choice", "action", "a", ("j",)),
+)  # fmt: skip
+
+
+def test_facts_at_a_group_event_are_asked_at_the_frame_at_which_it_was_read():
+    changes = 0
+    for seed in range(8):
+        random_, writes = random.Random(seed), []
+        with WorldGraph.memory() as graph:
+            episode, plan = begin(graph, writes.append, JOINED), perceivable(JOINED)
+            for step in range(1, 8):
+                look = episode.observed(panorama(60 + 15 * step), step)
+                episode.add_people(look, [*three_people(random_, look, 60 + 15 * step)], step)
+                # The people of the event are the likeliest ones by the plan before its change.
+                nodes = next((one.nodes for one in rank(plan, episode.tracks)), {})
+                before, plan = plan, perceivable(JOINED, group_changes(JOINED, episode.tracks, nodes))
+                changes += plan != before
+                assert episode.plan == plan
+                oracle, found = rank(plan, episode.tracks), episode.bindings()
+                assert [dict(one.nodes) for one in found] == [dict(one.nodes) for one in oracle]
+                assert [one.log_odds for one in found] == pytest.approx([one.log_odds for one in oracle])
+    assert changes > 6
+
+
+def panorama(frame):
+    return Panorama("s", frame, f"{frame:06d}", frame / 15, b"")
+
+
+def three_people(random_, look, frame):
+    for number, name in enumerate(("p1", "p2", "p3"), 1):
+        labels = (ReadLabel("action", random_.choice(("walking", "standing"))),)
+        ties = (ReadTie(SAME_GROUP, 2, random_.random() < 0.4),) if number != 2 else ()
+        yield name, PersonReading(look, number, frame, Box(500 * number, 100, 50, 150), labels, ties)
 
 
 def test_an_emptied_graph_concludes_nothing(graph):
