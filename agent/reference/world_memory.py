@@ -393,7 +393,9 @@ class WorldMemory:
             {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
             for row in zip(*slots, strict=True)
         ]
-        return {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+        decision = {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+        people = {person for binding in bindings for person in binding.nodes.values()}
+        return decision | {"statements": self.world.statements(people)}
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
