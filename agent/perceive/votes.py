@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple
 from jrdb_avr.agent.perceive.geometry import (
     DERIVED,
     SeenColumns,
+    Truth,
     angle_of,
     around,
     at_distance,
@@ -306,10 +307,17 @@ class Tracks:
         boxes = self.boxes(at)
         if source not in boxes or target not in boxes:
             return Support()
-        holds = standing(relation, boxes, source, target, self.looks.get(at, ()))
+        key = relation, source, at
+        if key not in self._standing:
+            self._standing[key] = standing(relation, boxes, source, self.looks.get(at, ()))
+        holds = self._standing[key].get(target)
         return Support() if holds is None else self._support([(at, UNIT if holds else -UNIT)], frame)
 
     # -- tables that are computed once ------------------------------------------------------------------------------
+
+    @cached_property
+    def _standing(self) -> dict[tuple[str, str, int], dict[str, Truth]]:
+        return {}
 
     @cached_property
     def _by_frame(self) -> dict[tuple[str, int], list[PersonReading]]:
