@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -237,6 +237,9 @@ class WorldMemory:
         """Write the people of a picture. A person with a fault is refused alone."""
         convention = self.attempt.convention
         observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
+        for name in [name for name, _ in people if self._is_written(name, observation)]:
+            faults.append(({"id": name}, f"{name} already has a box in {observation}"))
+            people = [entry for entry in people if entry[0] != name]
         for person, reason in faults:
             arguments = {"observation": observation, "people": [person]}
             self.world.refuse("add_people", _stored(arguments), printable(reason), step)
@@ -245,6 +248,9 @@ class WorldMemory:
         self._add(observation, people, step)
         refused = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
         return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{refused}"
+
+    def _is_written(self, entity: str, observation: str) -> bool:
+        return any(reading.observation == observation for reading in self.world.tracks.people.get(entity, ()))
 
     def _add(self, observation: str, people: Sequence[tuple[str, Any]], step: int) -> None:
         self.world.add_people(observation, people, step)
@@ -320,6 +326,9 @@ class WorldMemory:
             raise DecodeError("entity must be the id of the plan's target")
         conclusion = self._concluded()
         looks = self.advised_looks(left)
+        if conclusion is not None and any(look.purpose == "identify" for look in looks):
+            # A person whom no look has shown may fit as well.
+            conclusion = replace(conclusion, verdict="guess" if conclusion.verdict == "guess" else "supported")
         reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
             return self._answer(conclusion, self.proposed, "", step)
@@ -384,7 +393,9 @@ class WorldMemory:
             {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
             for row in zip(*slots, strict=True)
         ]
-        return {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+        decision = {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+        people = {person for binding in bindings for person in binding.nodes.values()}
+        return decision | {"statements": self.world.statements(people)}
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""

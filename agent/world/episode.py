@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any, Final
 
@@ -414,9 +414,23 @@ class WorldEpisode:
             columns[row["frame"]] = (*columns.get(row["frame"], ()), SeenColumns(row["left"], row["width"]))
         return Tracks(people, columns, self.tracks.repeats)
 
+    def statements(self, people: Set[str]) -> list[dict[str, Any]]:
+        """Return the statements that gave the bindings: name, parameters, and the rows about the given people."""
+        rows = self._read_evidence().rows
+        return [
+            {
+                "name": f"reads/world/{name}.cypher",
+                "parameters": self._parameters(),
+                "rows": [row for row in rows[name] if people >= {row[end] for end in ends}],
+            }
+            for name, ends in (("slots", ("entity",)), ("pairs", ("source", "target")))
+        ]
+
+    def _parameters(self) -> dict[str, Any]:
+        return {"hash": episode_hash(self.key), "step": ALWAYS}
+
     def _rows_of(self, name: str) -> list[dict[str, Any]]:
-        values = {"hash": episode_hash(self.key), "step": ALWAYS}
-        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), values)
+        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), self._parameters())
 
     def _read_evidence(self) -> _Evidence:
         self._settle()
@@ -445,6 +459,7 @@ class _Evidence:
         repeats: Repeats,
     ) -> None:
         self._slots, self._repeats = slots, repeats
+        self.rows = {"slots": singles, "pairs": pairs}
         self._votes: dict[tuple[int, str, str], list[Vote]] = defaultdict(list)
         numbered = {slot.row.number: slot for slot in slots}
         # Rows of replaced slots are left out.

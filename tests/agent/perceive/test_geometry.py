@@ -138,7 +138,7 @@ def test_the_first_to_the_left_is_unknown_until_the_way_there_is_seen():
     boxes = {"a": Box(toward(10), 100, 50, 150), "b": Box(toward(330), 100, 50, 150)}
     assert first_beside(boxes, "a", "left", [seen_from(10.0)])["b"] is None
     assert first_beside(boxes, "a", "left", [seen_from(10.0), seen_from(335.0)])["b"] is True
-    assert first_beside(boxes, "b", "a", "left", [seen_from(10.0), seen_from(335.0)]) is False
+    assert first_beside(boxes, "b", "left", [seen_from(10.0), seen_from(335.0)])["a"] is False
 
 
 def test_the_deciding_arc_is_where_the_target_can_stand():
