@@ -238,7 +238,7 @@ def _seen(url):
     rows, columns = np.nonzero(image.max(axis=2) < 20)
     if not len(rows):
         return image.shape[1], image.shape[0], []
-    y, x = (int(rows.min() + rows.max()) // 2, int(columns.min() + columns.max()) // 2)
+    y = int(rows.min() + rows.max()) // 2
     edge = int(columns.min()) - 8
     alike = (np.abs(image - image[y, edge]).max(axis=2) < 45).astype(np.uint8)
     _, numbers = cv2.connectedComponents(alike)

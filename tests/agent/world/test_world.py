@@ -1,6 +1,5 @@
 """The statements over a world model sum what readings say, and decide the bindings and the answer."""
 
-import itertools
 import random
 
 import numpy as np
