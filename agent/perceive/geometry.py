@@ -157,25 +157,33 @@ def within_degrees(source: Box, target: Box, degrees: float, side: Side) -> Trut
     return turn < degrees
 
 
-def first_beside(boxes: Mapping[str, Box], source: str, target: str, side: Side, looks: Sequence[SeenColumns]) -> Truth:
-    """Whether the target is the first person on this side of the source, as the robot sees it.
+def first_beside(boxes: Mapping[str, Box], source: str, side: Side, looks: Sequence[SeenColumns]) -> dict[str, Truth]:
+    """Return for each other person whether it is the first person on this side of the source, as the robot sees it.
 
-    boxes: everybody seen at the frame, by name.
+    Args:
+        boxes: Boxes of all people at a frame, by name, in stitched pixels.
+        source: Name of the source.
+        side: The side.
+        looks: Looks at the frame.
+
+    Returns:
+        The truth by name of the target.
     """
     margin, reach = _RULES.neighbor_margin_deg, _RULES.neighbor_max_deg
     turns = {name: turn_to(boxes[source], box, side) for name, box in boxes.items() if name != source}
-    own = turns[target]
-    settling = [turn for name, turn in turns.items() if margin <= turn <= reach and clear_size(boxes[name])]
-    if not settling:
-        # Somebody unseen who just lies in reach may be as near as the target, which does not.
-        doubtful = Arc(own - margin, reach - own + margin)
-        beyond = own > reach and (doubtful.span < 0 or _seen_on(boxes[source], doubtful, side, looks))
-        return False if beyond else None
-    limit = min(settling) + margin
-    if own >= limit:
-        return False
+    near = [turn for name, turn in turns.items() if margin <= turn <= reach and clear_size(boxes[name])]
+    truths: dict[str, Truth] = {}
+    if not near:
+        for target, turn in turns.items():
+            # An unseen person just inside the reach may be as near as a target beyond the reach.
+            doubtful = Arc(turn - margin, reach - turn + margin)
+            beyond = turn > reach and (doubtful.span < 0 or _seen_on(boxes[source], doubtful, side, looks))
+            truths[target] = False if beyond else None
+        return truths
+    limit = min(near) + margin
     alone = sum(turn < limit for turn in turns.values()) == 1
-    return True if alone and _seen_on(boxes[source], Arc(0.0, limit), side, looks) else None
+    sure = alone and _seen_on(boxes[source], Arc(0.0, limit), side, looks)
+    return {target: False if turn >= limit else True if sure else None for target, turn in turns.items()}
 
 
 def _seen_on(source: Box, turned: Arc, side: Side, looks: Iterable[SeenColumns]) -> bool:
@@ -188,15 +196,26 @@ def _absolute(source: Box, turned: Arc, side: Side) -> Arc:
     return Arc(start % 360.0, turned.span)
 
 
-def standing(relation: str, boxes: Mapping[str, Box], source: str, target: str, looks: Sequence[SeenColumns]) -> Truth:
-    """Whether a relation of `DERIVED` leads from the source to the target; None for any other relation."""
+def standing(relation: str, boxes: Mapping[str, Box], source: str, looks: Sequence[SeenColumns]) -> dict[str, Truth]:
+    """Return for each other person whether a relation of `DERIVED` leads from the source to it.
+
+    Args:
+        relation: The relation.
+        boxes: Boxes of all people at a frame, by name, in stitched pixels.
+        source: Name of the source.
+        looks: Looks at the frame.
+
+    Returns:
+        The truth by name of the target. Empty for a relation that boxes do not decide.
+    """
     row = RELATIONS[relation]
     match row.kind:
         case "first":
-            return first_beside(boxes, source, target, row.side, looks)
+            return first_beside(boxes, source, row.side, looks)
         case "window":
-            return within_degrees(boxes[source], boxes[target], row.degrees, row.side)
-    return None
+            others = ((name, box) for name, box in boxes.items() if name != source)
+            return {name: within_degrees(boxes[source], box, row.degrees, row.side) for name, box in others}
+    return {}
 
 
 def deciding_arc(relation: str, source: Box) -> Arc:

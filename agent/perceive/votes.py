@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple
 from jrdb_avr.agent.perceive.geometry import (
     DERIVED,
     SeenColumns,
+    Truth,
     angle_of,
     around,
     at_distance,
@@ -298,18 +299,25 @@ class Tracks:
     def _tie(self, source: str, relation: str, target: str, frame: int) -> Support:
         return self._support(self._tie_votes.get(tie_key(source, relation, target), ()), frame)
 
-    def is_voted(self, key: TieKey, frame: int) -> bool:
-        """Return whether a reading at a frame is a vote on the relation with this key."""
-        return any(at == frame for at, _ in self._tie_votes.get(key, ()))
+    def tie_votes(self, key: TieKey, frame: int) -> list[float]:
+        """Return the weighted votes of readings at a frame on the relation with this key."""
+        return [vote for at, vote in self._tie_votes.get(key, ()) if at == frame]
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
         boxes = self.boxes(at)
         if source not in boxes or target not in boxes:
             return Support()
-        holds = standing(relation, boxes, source, target, self.looks.get(at, ()))
+        key = relation, source, at
+        if key not in self._standing:
+            self._standing[key] = standing(relation, boxes, source, self.looks.get(at, ()))
+        holds = self._standing[key].get(target)
         return Support() if holds is None else self._support([(at, UNIT if holds else -UNIT)], frame)
 
     # -- tables that are computed once ------------------------------------------------------------------------------
+
+    @cached_property
+    def _standing(self) -> dict[tuple[str, str, int], dict[str, Truth]]:
+        return {}
 
     @cached_property
     def _by_frame(self) -> dict[tuple[str, int], list[PersonReading]]:
@@ -369,7 +377,8 @@ def _vote_of(reading: PersonReading, name: str, value: str, topic: str) -> float
     if name == "distance" and reading.metres is not None:
         return _truth_vote(at_distance(reading.metres, value))
     votes = [vote_of_label(label, value) for label in reading.labels if label.topic == topic]
-    return max(votes, key=abs) if votes else None
+    # Labels that contradict each other cancel out. Labels that agree count as one.
+    return max(0.0, *votes) + min(0.0, *votes) if votes else None
 
 
 def vote_of_label(label: ReadLabel, value: str) -> float:

@@ -10,6 +10,8 @@ from collections.abc import Callable, Collection
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from jrdb_avr.agent.look.ranking import parts_of
 from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.requests import heading
@@ -106,7 +108,8 @@ def make_plan(attempt: Attempt, repairs: int, episode: WorldEpisode) -> Plan:
             parts_of(perceivable(plan))
         except (DecodeError, PlanError) as error:
             refusal = printable(str(error))
-            episode.refuse("plan", value if len(text) <= LONGEST_SENT else {}, refusal, step)
+            arguments = compact_json(value) if len(text) <= LONGEST_SENT else "{}"
+            episode.refuse("plan", msgspec.Raw(arguments.encode()), refusal, step)
             attempt.record("tool", {"tool": "plan"}, {"refused": refusal}, started)
             text = text[:LONGEST_SENT]
         else:

@@ -5,6 +5,7 @@ Replies are untrusted. A turn is an object with a list of calls, and each call i
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ WRITES: Final = ("add_people", "add_entity", "add_attribute", "add_relation")
 """Tools that write to the graph."""
 
 FINAL: Final = "final_answer"
+
+UNKNOWN: Final = "?"
+"""Name of a call that names no known tool."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +71,10 @@ def read_calls(turn: Mapping[str, Any], tools: Collection[str]) -> list[Call]:
 
 def _read_call(call: object, tools: Collection[str], last: bool) -> Call:
     if not isinstance(call, dict) or not isinstance(call.get("tool"), str):
-        return Call("?", {}, 'a call is an object that names its "tool"')
+        return Call(UNKNOWN, {}, 'a call is an object that names its "tool"')
     tool = call["tool"]
     if tool not in tools:
-        return Call("?", {}, f"there is no tool {compact_json(tool[:40])}; the tools are {', '.join(tools)}")
+        return Call(UNKNOWN, {}, f"there is no tool {compact_json(tool[:40])}; the tools are {', '.join(tools)}")
     if _depth(call) > _DEPTH or len(compact_json(call)) > LONGEST_CALL:
         return Call(tool, {}, "the call is nested too deeply or too long")
     arguments = {name: value for name, value in call.items() if name != "tool"}
@@ -87,7 +91,7 @@ def _depth(value: object, most: int = _DEPTH) -> int:
     return 1 + max((_depth(part, most - 1) for part in parts), default=0)
 
 
-_COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
+_COMPACT: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 
 
 def compact_json(value: object) -> str:
@@ -97,13 +101,15 @@ def compact_json(value: object) -> str:
         value: The value.
 
     Returns:
-        One line of ASCII.
+        One line of ASCII. A number that is not finite becomes a text, because JSON has no such numbers.
 
     Raises:
         DecodeError: If the value is nested too deeply.
     """
     try:
-        return _COMPACT.encode(value)
+        with contextlib.suppress(ValueError):
+            return _COMPACT.encode(value)
+        return _COMPACT.encode(json.loads(json.dumps(value), parse_constant=str))
     except (RecursionError, ValueError):
         raise DecodeError("the reply is nested too deeply or too long") from None
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
@@ -30,7 +32,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
     written_answer,
 )
-from jrdb_avr.agent.reference.turns import Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import UNKNOWN, Call, Turn, View, compact_json, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
@@ -193,8 +195,9 @@ class WorldMemory:
         return name
 
     def refuse(self, call: Call, reason: str, step: int) -> None:
-        """Record a refused call in the graph."""
-        self.world.refuse(call.tool, call.arguments, reason, step)
+        """Record a refused call in the graph, unless it names no tool."""
+        if call.tool != UNKNOWN:
+            self.world.refuse(call.tool, _stored(call.arguments), reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
@@ -234,13 +237,20 @@ class WorldMemory:
         """Write the people of a picture. A person with a fault is refused alone."""
         convention = self.attempt.convention
         observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
+        for name in [name for name, _ in people if self._is_written(name, observation)]:
+            faults.append(({"id": name}, f"{name} already has a box in {observation}"))
+            people = [entry for entry in people if entry[0] != name]
         for person, reason in faults:
-            self.world.refuse("add_people", {"observation": observation, "people": [person]}, reason, step)
+            arguments = {"observation": observation, "people": [person]}
+            self.world.refuse("add_people", _stored(arguments), printable(reason), step)
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
         self._add(observation, people, step)
         refused = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
         return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{refused}"
+
+    def _is_written(self, entity: str, observation: str) -> bool:
+        return any(reading.observation == observation for reading in self.world.tracks.people.get(entity, ()))
 
     def _add(self, observation: str, people: Sequence[tuple[str, Any]], step: int) -> None:
         self.world.add_people(observation, people, step)
@@ -316,6 +326,9 @@ class WorldMemory:
             raise DecodeError("entity must be the id of the plan's target")
         conclusion = self._concluded()
         looks = self.advised_looks(left)
+        if conclusion is not None and any(look.purpose == "identify" for look in looks):
+            # A person whom no look has shown may fit as well.
+            conclusion = replace(conclusion, verdict="guess" if conclusion.verdict == "guess" else "supported")
         reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
             return self._answer(conclusion, self.proposed, "", step)
@@ -380,7 +393,9 @@ class WorldMemory:
             {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
             for row in zip(*slots, strict=True)
         ]
-        return {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+        decision = {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+        people = {person for binding in bindings for person in binding.nodes.values()}
+        return decision | {"statements": self.world.statements(people)}
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
@@ -390,6 +405,11 @@ class WorldMemory:
         frames = task.sequence.frames or (0,)
         middle = frames[len(frames) // 2]
         return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+
+
+def _stored(arguments: object) -> msgspec.Raw:
+    """Return arguments of a model as JSON that every table can hold."""
+    return msgspec.Raw(compact_json(arguments).encode())
 
 
 def _part_text(part: PlanPart) -> str:

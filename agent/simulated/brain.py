@@ -86,7 +86,9 @@ class Thought:
         if conclusion is not None:
             return mode.written(conclusion.answer)
         if mode.is_choice:
-            return 1 + hashlib.sha256("\n".join(self.request.choices).encode()).digest()[0] % len(self.request.choices)
+            return 1 + hashlib.sha256("\n".join(self.request.choices).encode()).digest()[0] % max(
+                len(self.request.choices), 1
+            )
         return mode.written(mode.make((self.frames[0], self.frames[-1]), 180.0))
 
     def evidence(self, conclusion: Conclusion | None, looks: Iterable[Look]) -> list[tuple[Look, Box]]:

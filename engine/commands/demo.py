@@ -62,7 +62,7 @@ def steps(folder: Path, size: Size) -> list[list[str]]:
         ["generate", *store],
         ["validate", *store],
         ["observe", _SEQUENCE, "150", "110", *store, "--boxes", "--out", f"{look}"],
-        ["evaluate", *store, "--method", "react", "--model", "simulated", "--limit", f"{size.questions}"],
+        ["evaluate", *store, "--method", "react", "--model", "simulated:perfect", "--limit", f"{size.questions}"],
         ["score", *store],
         ["report", *store],
     ]

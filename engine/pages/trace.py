@@ -73,6 +73,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         graph=None if plan is None else PlanGraph(plan),
         node_roles={} if plan is None else {node.id: index % ROLES for index, node in enumerate(plan.nodes)},
         decision=decision,
+        slots={row.number: row for write in trace.writes for row in write.fact.slots},
         bound=decision.bindings[0].nodes if decision is not None and decision.bindings else {},
         turns=_turns(trace, observer, strip, roles),
         final=None if evidence is None else _final(trace, *evidence, observer, strip),
@@ -157,12 +158,11 @@ def _marks(trace: Trace, roles: Mapping[str, int]) -> list[dict[str, Any]]:
     """
     marks: list[dict[str, Any]] = []
     lines = {name: 17 + 12 * (index % 3) for index, name in enumerate(roles)} if len(roles) <= _NAMED else {}
-    for write in trace.writes:
-        if (sighting := write.fact.sighted) is not None:
-            name, column = name_of(sighting.source), (sighting.box.x + sighting.box.w / 2) % WIDTH
-            mark = {"step": write.step, "role": roles.get(name, 0), "frame": sighting.frame, "column": column}
-            label = {"label": name[:12] if name in lines else "", "label_y": lines.pop(name, 0)}
-            marks.append(mark | label | {"text": name})
+    for sighting in (sighting for write in trace.writes for sighting in write.fact.sighted):
+        name, column = name_of(sighting.source), (sighting.box.x + sighting.box.w / 2) % WIDTH
+        mark = {"step": sighting.step, "role": roles.get(name, 0), "frame": sighting.frame, "column": column}
+        label = {"label": name[:12] if name in lines else "", "label_y": lines.pop(name, 0)}
+        marks.append(mark | label | {"text": name})
     return marks
 
 
@@ -184,8 +184,8 @@ def _view(
 
     If a picture is missing, the value of `missing` is the reason. Otherwise the value is an empty text.
     """
-    taken = {write.fact.observation.id for write in trace.writes if write.fact.observation and write.step == look.step}
-    seen = [sighted for write in trace.writes if (sighted := write.fact.sighted) and sighted.target in taken]
+    keys = {row.id for write in trace.writes for row in write.fact.looks if row.step == look.step}
+    seen = (sighting for write in trace.writes for sighting in write.fact.sighted if sighting.target in keys)
     boxes = [(name_of(sighting.source), sighting.box) for sighting in seen]
     on_panorama = [(roles.get(name, 0), part) for name, box in boxes for part in on_strip(box, _STRIP[0])]
     view: dict[str, Any] = {"look": look, "words": look_words(look), "missing": "", "crop": None, "boxes": on_panorama}

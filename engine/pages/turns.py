@@ -85,7 +85,7 @@ class StatementRun(msgspec.Struct):
 
     name: str
     parameters: Any
-    rows: list[Any]
+    rows: list[dict[str, Any]]
 
 
 class Conclusion(msgspec.Struct):
@@ -184,9 +184,7 @@ def turns_of(transcript: Transcript) -> list[Turn]:
         number += group[0]["kind"] == "model"
         head = f"Turn {number}" if number else "Before the first turn"
         ended = after is None and transcript.prediction["status"] == "answered"
-        did = ", ".join(_deeds(writes, [_purpose(look, due) for look in looks], calls, people)) or (
-            "answered" if ended else "replied"
-        )
+        did = ", ".join(_deeds(writes, _looked(looks, due), calls, people)) or ("answered" if ended else "replied")
         results = " ".join(call.result for call in calls)
         refused = [row for row in (write.row for write in writes) if row["reason"] and row["reason"] not in results]
         shown = {look.step for look in looks}
@@ -198,13 +196,13 @@ def turns_of(transcript: Transcript) -> list[Turn]:
 
 def entity_roles(transcript: Transcript) -> dict[str, int]:
     """Return the number of the colour of each entity of the world model, by name, in the order of creation."""
-    made = [write.fact.entity.name for write in transcript.writes if write.fact.entity is not None]
+    made = [entity.name for write in transcript.writes for entity in write.fact.entities]
     return {name: index % ROLES for index, name in enumerate(made)}
 
 
 def plan_of(transcript: Transcript) -> Plan | None:
     """Return the plan that the run wrote to its world model, or None."""
-    plans = [write.fact.episode.plan for write in transcript.writes if write.fact.episode and write.fact.episode.plan]
+    plans = [write.row["arguments"] for write in transcript.writes if write.fact.slots]
     try:
         return parse_plan(plans[-1]) if plans else None
     except PlanError:
@@ -228,14 +226,14 @@ def _stated(step: StoredRow) -> tuple[GraphState | None, list[AdvisedLook]]:
 def _call(step: StoredRow) -> Call:
     """Return the call of a tool that a step records. Long arguments are counted, not shown."""
     call, result = _decoded(step["request"], dict[str, Any]), _decoded(step["response"], str)
+    if outcome := _decoded(step["response"], dict[str, str]):
+        # The outcome of a plan has the plan, which is drawn, or the reason of the refusal.
+        result = f"refused: {outcome['refused']}" if "refused" in outcome else ", ".join(outcome)
     if not call or result is None:
         return Call(step["request"], step["response"], "refused" in step["response"][:20])
-    words = [
-        f"{len(value)} {key}" if isinstance(value, list) else f"{key} {value}"
-        for key, value in call.items()
-        if key != "tool"
-    ]
-    return Call(f"{call.get('tool')} {', '.join(words)}", result, result.startswith("refused"))
+    tool = call.pop("tool", "")
+    words = (f"{len(value)} {key}" if isinstance(value, list) else f"{key} {value}" for key, value in call.items())
+    return Call(f"{tool} {', '.join(words)}", result, result.startswith("refused"))
 
 
 def _deeds(
@@ -248,32 +246,38 @@ def _deeds(
         new = [person.entity for person in people if person.new]
         names = f" ({', '.join(new)} new)" if 0 < len(new) <= _NAMES else f" ({len(new)} new)" if new else ""
         yield f"wrote {len(people)} {'person' if len(people) == 1 else 'people'}{names}"
-    if len(looks) > _NAMES:
-        yield f"looked {len(looks)} times"
-    else:
-        yield from (f"looked at {look}" for look in looks)
+    yield from looks if len(looks) <= _NAMES else [f"looked {len(looks)} times"]
     finals = [call for call in calls if call.text.startswith("final_answer")]
     yield from (f"final answer {'refused' if call.refused else 'accepted'}" for call in finals)
     if refused := sum(not write.row["accepted"] for write in writes if write.row["tool"] != "final_answer"):
         yield f"{refused} refused"
 
 
-def _purpose(look: Look, due: Sequence[AdvisedLook]) -> str:
-    """Return a look in words, with the reason if it is one of the looks that were due after the turn's writes."""
-    # A look that repeats an earlier look is turned aside by a few degrees.
-    near = (
-        one.reason
-        for one in due
-        if one.frame_id == f"{look.frame:06d}" and angle_error(one.angle_deg, look.angle or 0.0) < _ASIDE_DEG
-    )
-    reason = next(near, "")
-    return f"{look_words(look)} ({reason})" if reason else look_words(look)
+def _looked(looks: Sequence[Look], due: Sequence[AdvisedLook]) -> list[str]:
+    """Return the looks of a turn in words. `due` are the looks that were due after the turn's writes.
+
+    A look that was due has a reason. Looks at the same frame for the same reason share a text.
+    """
+    angles: dict[tuple[int, str], list[str]] = {}
+    for look in looks:
+        # A look that repeats an earlier look is turned aside by a few degrees.
+        near = (
+            f" ({advised.reason})"
+            for advised in due
+            if advised.frame_id == f"{look.frame:06d}"
+            and angle_error(advised.angle_deg, look.angle or 0.0) < _ASIDE_DEG
+        )
+        angles.setdefault((look.frame, next(near, "")), []).append(_angle(look))
+    return [f"looked at frame {frame}, {' and '.join(words)}{why}" for (frame, why), words in angles.items()]
+
+
+def _angle(look: Look) -> str:
+    return "the whole panorama" if look.angle is None else f"{look.angle:.0f}\N{DEGREE SIGN}"
 
 
 def look_words(look: Look) -> str:
     """Return the frame and the angle of a look in words."""
-    angle = ", the whole panorama" if look.angle is None else f", {look.angle:.0f}\N{DEGREE SIGN}"
-    return f"frame {look.frame}{angle}"
+    return f"frame {look.frame}, {_angle(look)}"
 
 
 def _people(writes: Sequence[Written]) -> list[PersonLine]:
@@ -284,14 +288,17 @@ def _people(writes: Sequence[Written]) -> list[PersonLine]:
         return people.setdefault(name_of(key), PersonLine(name_of(key), new, [])).facts
 
     for fact in (write.fact for write in writes):
-        if fact.entity is not None:
-            line(fact.entity.id, new=True)
-        if fact.sighted is not None:
-            line(fact.sighted.source)
-        if (has := fact.has) is not None:
-            line(has.source).append(f"{has.name}: {has.value}")
-        if (tie := fact.related) is not None:
-            line(tie.source).append(f"{tie.name} \N{RIGHTWARDS ARROW} {name_of(tie.target)}")
+        for entity in fact.entities:
+            line(entity.id, new=True)
+        for sighting in fact.sighted:
+            line(sighting.source)
+        for has in fact.has:
+            if has.origin == "model":
+                line(has.source).append(f"{has.name} {has.value} {has.weight:+.1f}")
+        for tie in fact.related:
+            arrow = "" if tie.origin == "model" else " (from boxes)"
+            text = f"{tie.name} \N{RIGHTWARDS ARROW} {name_of(tie.target)} {tie.weight:+.1f}{arrow}"
+            line(tie.source).append(text)
     return list(people.values())
 
 

@@ -145,7 +145,7 @@ def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
     if transcript is not None:
         looks = [{"frame": look.frame, "step": look.step, "spans": look.spans} for look in transcript.looks]
         roles = entity_roles(transcript)
-        for seen in (write.fact.sighted for write in transcript.writes if write.fact.sighted):
+        for seen in (sighting for write in transcript.writes for sighting in write.fact.sighted):
             name = name_of(seen.source)
             boxes.append(_drawn(seen.box, seen.frame, f"role{roles.get(name, 0)}", name))
         if isinstance(transcript, Trace):

@@ -301,7 +301,7 @@ def asked_of(world):
                 if any(all(_may_fit(world, o, who, n) for n in names) for o in world.names if o != who):
                     continue
                 conditions = tuple(_condition(name, world.values[who][name]) for name in names)
-                nexts = [o for o in world.names if o != who and first_beside(boxes, who, o, "left", looks)]
+                nexts = [o for o in world.names if o != who and first_beside(boxes, who, "left", looks)[o]]
                 if nexts and world.rng.random() < 0.5:
                     edges = (Edge("a", FIRST_LEFT, "b", "t0"),)
                     return _plan((Node("a", conditions), Node("b")), edges), nexts[0]

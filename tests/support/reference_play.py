@@ -1,5 +1,6 @@
 """Games of the reference agent: scripted replies on grey pictures, with a real world model or none."""
 
+import itertools
 import json
 from types import SimpleNamespace
 
@@ -157,11 +158,15 @@ def task_of(mode="multiple_choice", question="What does the woman do?", steps=No
     return Task(row, info, _observe, _panorama, record.append, record_write.append)
 
 
-def play(replies, mode="multiple_choice", *, world=None, **options):
-    """A game: its prediction, requests, schemas, steps and writes."""
+_names = itertools.count()
+
+
+def play(replies, mode="multiple_choice", *, world=None, name=None, **options):
+    """A game: its prediction, requests, schemas, steps and writes. Each game is a question of its own by default."""
+    name = name or f"{next(_names):016x}"
     chat, steps, writes = Scripted(replies), [], []
     agent = ReferenceAgent(chat, world=world, **options)
-    prediction = agent.answer(task_of(mode, steps=steps, writes=writes))
+    prediction = agent.answer(task_of(mode, steps=steps, writes=writes, name=name))
     return SimpleNamespace(
         prediction=prediction, requests=chat.requests, schemas=chat.schemas, steps=steps, writes=writes
     )

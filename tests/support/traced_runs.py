@@ -7,7 +7,7 @@ from question_files import all_evidence
 from scored_runs import table
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
-from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, EpisodeRow, Fact, RelationRow, SightingRow
+from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, Fact, RelationRow, SightingRow, SlotRow
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import RUNS
 
@@ -20,36 +20,32 @@ PERSON = HOSTILE.replace("/", "|")
 LONG = "x" * 10_000
 
 
-def entity(name, number, step, node=""):
-    return EntityRow(f"e/{name}", "e", name, number, "person", node, step)
-
-
-READ = (1, 0, "model")
-"""Votes for and against, and the origin."""
+def entity(name, number, step):
+    return EntityRow(f"e/{name}", "e", number, name, step)
 
 
 def sighted(name, write, step, frame, x):
-    return SightingRow(f"e/{name}", "e/o1", "e", write, step, *READ, frame, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360)
+    row = (f"e/{name}", "e/o1", "e", write, step, frame)
+    return SightingRow(*row, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360, True, -1.0)
 
 
 def has(name, write, step, value, frame):
-    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, *READ, "action", value, 0.0, frame, frame)
+    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, frame, "pose", "action", value, 2.2, True, "model")
+
+
+def related(source, target, write, step, frame):
+    return RelationRow(f"e/{source}", f"e/{target}", "e", write, step, frame, "conversation", -1.5, "e/o1", "model")
 
 
 def world_rows(frame):
     """p1 is written down at step 2, its action at step 2 and anew at step 5; p2 and what ties them at step 5."""
     facts = [
-        (2, "add_entity", "", Fact(entity=entity("p1", 0, 2, "a"), sighted=sighted("p1", 0, 2, frame, 900.0))),
-        (2, "add_attribute", "", Fact(has=has("p1", 1, 2, "walking", frame))),
+        (2, "add_entity", "", Fact(entities=(entity("p1", 1, 2),), sighted=(sighted("p1", 0, 2, frame, 900.0),))),
+        (2, "add_attribute", "", Fact(has=(has("p1", 1, 2, "walking", frame),))),
         (2, "add_relation", f"no observation o9 {HOSTILE}", Fact()),
-        (5, "add_attribute", "", Fact(has=has("p1", 3, 5, "sitting", frame), replaced=(1,))),
-        (5, "add_entity", "", Fact(entity=entity(PERSON, 1, 5), sighted=sighted(PERSON, 4, 5, frame, 3750.0))),
-        (
-            5,
-            "add_relation",
-            "",
-            Fact(related=RelationRow("e/p1", f"e/{PERSON}", "e", 5, 5, *READ, "conversation", "o1", frame, frame)),
-        ),
+        (5, "add_attribute", "", Fact(has=(has("p1", 3, 5, "sitting", frame),))),
+        (5, "add_people", "", Fact(entities=(entity(PERSON, 2, 5),), sighted=(sighted(PERSON, 4, 5, frame, 3750.0),))),
+        (5, "add_relation", "", Fact(related=(related("p1", PERSON, 5, 5, frame),))),
     ]
     return [
         {
@@ -101,7 +97,7 @@ DECISION = {
     ],
     "proposed": {"choice": 1},
     "parts": [{"part": f"a gender male {HOSTILE}", "support": [[2.2, "certain"], [0.0, "open"]]}],
-    "statements": [{"name": "slots", "parameters": {"episode": "e"}, "rows": [["a", "p1", 2.2], {"x": HOSTILE}]}],
+    "statements": [{"name": "slots", "parameters": {"hash": "e"}, "rows": [{"slot": 0, "entity": HOSTILE}]}],
 }
 
 
@@ -115,8 +111,9 @@ def decided_run(store, frame):
         ("tool", json.dumps({"tool": "final_answer", "entity": HOSTILE}), json.dumps(f"refused: {HOSTILE}")),
         ("solve", '{"accepted":false}', json.dumps(DECISION)),
     ]
-    plan = Fact(episode=EpisodeRow("e", "r", "q", "s", json.dumps(PLAN), ""))
-    own = {"number": 6, "step": 0, "tool": "plan", "arguments": "{}", "accepted": True, "reason": ""}
+    slot = SlotRow("e/0", "e", 0, "condition", "a", "", "gender", HOSTILE, "gender", "model", "", 0, 0.4)
+    plan = Fact(slots=(slot,))
+    own = {"number": 6, "step": 0, "tool": "plan", "arguments": json.dumps(PLAN), "accepted": True, "reason": ""}
     rows = [*world_rows(frame), own | {"fact": msgspec.json.encode(plan).decode()}]
     stored_run(store, "decided", steps=steps, world=rows)
 
@@ -150,7 +147,7 @@ def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None
 
 
 def trace_runs(store):
-    """Write runs into a store: all kinds of steps, a world model that decided, no steps, and a box that cannot be drawn."""
+    """Write runs: all kinds of steps, a world model that decided, no steps, and a box that cannot be drawn."""
     question = store.questions("questions").to_pylist()[0]
     evidence = all_evidence(store).to_pylist()
     box = next(row for row in evidence if row["question_id"] == question["question_id"])

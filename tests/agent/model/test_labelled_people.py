@@ -11,7 +11,7 @@ from test_calibrate import writer
 from jrdb_avr.agent.model.calibrate import calibrate
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT
-from jrdb_avr.agent.model.labelled_people import PERSON_LINE, LabelledPerson, PersonView, find_errors, request_labels
+from jrdb_avr.agent.model.labelled_people import PERSON_LINE, PersonView, find_errors, request_labels
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, write_calibration
@@ -83,7 +83,7 @@ def reader(people, frame, person):
 
 
 def test_the_weights_of_a_model_are_measured_stored_and_taken_by_later_runs(tmp_path):
-    people = [LabelledPerson(*(view(f"{i} {which}") for which in "abc")) for i in range(60)]
+    people = [tuple(view(f"{i} {which}") for which in "abc") for i in range(60)]
     store = Store(tmp_path)
     with FakeServer(sound(reader(people, 0.9, 0.6), model="fake-1")) as server:
         found = calibrate(Client(server.url, "fake"), 12, people=people)
@@ -108,7 +108,7 @@ def test_people_of_a_store_are_shown_with_their_labels(tmp_path):
     load(find_root(tmp_path / "root"), store, LoadRules(), 1)
     people = labelled_people(store, 6)
     assert len(people) == 6 and people == labelled_people(store, 6)
-    assert len({tuple(person.first.labels.items()) for person in people}) > 2
+    assert len({tuple(person[0].labels.items()) for person in people}) > 2
     rows = store.sql("SELECT * FROM intervals_sightings").to_pylist()
     sights = {(row["sequence"], row["frame"], round(row["w"], 3), round(row["h"], 3)): row for row in rows}
     for person in people:

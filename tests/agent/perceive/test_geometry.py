@@ -70,7 +70,7 @@ def test_where_all_is_seen_facts_are_those_of_the_second_program(boxes):
             assert in_sector(angle_of(box), word) == fact(annotations.in_sector(track, word, 15))
         for target in boxes.keys() - {source}:
             for relation in DERIVED:
-                ours = standing(relation, boxes, source, target, ALL)
+                ours = standing(relation, boxes, source, ALL)[target]
                 assert ours == related(annotations, relation, boxes, source, target), (relation, source, target)
 
 
@@ -91,7 +91,7 @@ def test_what_is_certain_of_the_people_seen_is_so_of_all(boxes, looks, relation)
     annotations = annotated(boxes)
     for source in seen:
         for target in seen.keys() - {source}:
-            ours = standing(relation, seen, source, target, looks)
+            ours = standing(relation, seen, source, looks)[target]
             assert ours is None or ours == related(annotations, relation, boxes, source, target)
 
 
@@ -106,9 +106,9 @@ def test_unknown_is_only_what_somebody_unseen_could_change(boxes, looks, side):
     unseen = [angle for angle in tried if not inside(looks, angle)]
     more = [{**boxes, "q": Box(toward(angle), 100.0, 50.0, 150.0)} for angle in unseen]
     for source, target in itertools.permutations(boxes, 2):
-        known = first_beside(boxes, source, target, side, ALL)
-        if known is not None and first_beside(boxes, source, target, side, looks) is None:
-            assert any(first_beside(people, source, target, side, ALL) != known for people in more)
+        known = first_beside(boxes, source, side, ALL)[target]
+        if known is not None and first_beside(boxes, source, side, looks)[target] is None:
+            assert any(first_beside(people, source, side, ALL)[target] != known for people in more)
 
 
 def inside(looks, angle):
@@ -136,9 +136,9 @@ def test_eight_looks_go_round_and_seven_leave_a_gap_over_the_seam():
 
 def test_the_first_to_the_left_is_unknown_until_the_way_there_is_seen():
     boxes = {"a": Box(toward(10), 100, 50, 150), "b": Box(toward(330), 100, 50, 150)}
-    assert first_beside(boxes, "a", "b", "left", [seen_from(10.0)]) is None
-    assert first_beside(boxes, "a", "b", "left", [seen_from(10.0), seen_from(335.0)]) is True
-    assert first_beside(boxes, "b", "a", "left", [seen_from(10.0), seen_from(335.0)]) is False
+    assert first_beside(boxes, "a", "left", [seen_from(10.0)])["b"] is None
+    assert first_beside(boxes, "a", "left", [seen_from(10.0), seen_from(335.0)])["b"] is True
+    assert first_beside(boxes, "b", "left", [seen_from(10.0), seen_from(335.0)])["a"] is False
 
 
 def test_the_deciding_arc_is_where_the_target_can_stand():

@@ -103,7 +103,8 @@ def test_the_graph_supports_what_was_written(world):
     assert (shown["supported"]["answer"], shown["supported"]["entity"]) == (2, "p1")
     told = game.prediction
     assert (told.status, told.answer, told.reason) == ("answered", Choice(2), "")
-    assert (told.evidence.frame, told.verdict != "guess") == (150, True)
+    # The rest of the frame was not searched.
+    assert (told.evidence.frame, told.verdict) == (150, "supported")
     assert (told.n_model_calls, told.n_observations) == (4, 1)
 
 
@@ -174,6 +175,13 @@ def test_people_are_refused_one_at_a_time(world):
         assert text in result
     assert [write.accepted for write in game.writes if write.tool == "add_people"].count(False) >= 4
     assert "p1" in world_of(game)["people"] and "p3" not in world_of(game)["people"]
+
+
+def test_a_person_has_one_box_in_a_picture(world):
+    game = play([PLAN, turn(look()), writes(WOMAN), turn(look(155)), writes(WOMAN, MAN), "x"], world=world)
+    result = results_of(text_of(game.requests[5]))[0]
+    assert result == "add_people: o1: p2 written; refused: p1 already has a box in o1"
+    assert world_of(game)["people"] == {"p1": "female, 000150 at 165", "p2": "male, 000150 at 188"}
 
 
 UNGROUNDED = [

@@ -59,7 +59,7 @@ def text(label):
 
 def test_people_are_those_of_the_label_files(sight, raw):
     flat, solid = raw
-    compared = {name: 0 for name in ("box", "pose", "action", "interaction", "group", "metres", "gender")}
+    compared = dict.fromkeys(("box", "pose", "action", "interaction", "group", "metres", "gender"), 0)
     for frame in FRAMES:
         people = {person.track: person for person in sight.people(SEQUENCE, frame)}
         records = flat[frame]

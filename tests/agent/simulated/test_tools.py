@@ -1,4 +1,4 @@
-"""Another harness drives the simulated model by function calling; what it does not do, it refuses in one line."""
+"""Another program drives the simulated model by function calling, without references in its pictures."""
 
 import json
 
@@ -6,6 +6,7 @@ import pytest
 from painted import World, still
 
 from jrdb_avr.agent.model.messages import picture_of
+from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box, from_crop, iou
@@ -30,15 +31,15 @@ TOOLS = [OBSERVE, ANSWER]
 
 
 @pytest.fixture
-def server():
-    with Server() as made:
-        yield made
-
-
-@pytest.fixture
 def world(tmp_path):
     crowd = [still(300, 21, pose="walking", gender="male"), still(3000, 24, pose="walking", gender="female")]
     return World(tmp_path, [still(HER.x, 7, pose="standing", gender="female", w=HER.w, h=HER.h), *crowd], FRAMES)
+
+
+@pytest.fixture
+def server(world):
+    with Server(world, PERFECT) as made:
+        yield made
 
 
 def asked(server, messages, **more):
@@ -73,9 +74,8 @@ def play(server, world, in_result, **more):
 
 
 @pytest.mark.parametrize("in_result", [True, False])
-@pytest.mark.parametrize("choice", ["auto", "required"])
-def test_a_harness_with_tools_gets_looks_and_then_the_answer(server, world, in_result, choice):
-    arguments, looks, messages = play(server, world, in_result, tool_choice=choice)
+def test_a_program_with_tools_gets_looks_and_then_the_answer(server, world, in_result):
+    arguments, looks, messages = play(server, world, in_result)
     assert arguments["answer"] == 2
     (box,) = arguments["evidence_bboxes"]
     x1, y1, x2, y2 = (value * 0.48 for value in box["bbox"])
@@ -89,9 +89,7 @@ def test_a_harness_with_tools_gets_looks_and_then_the_answer(server, world, in_r
 
 def test_without_tools_to_call_the_reply_is_plain_json(server):
     messages = [{"role": "user", "content": f"{HEADING}\nLooks made: 0, left: 24\nYour next turn, as one JSON object:"}]
-    plain = asked(server, messages)
-    assert plain == asked(server, messages, tools=TOOLS, tool_choice="none", stream=False, n=1)
-    turn = json.loads(plain["message"]["content"])
+    turn = json.loads(asked(server, messages)["message"]["content"])
     (call,) = asked(server, messages, tools=TOOLS)["message"]["tool_calls"]
     assert call["function"]["name"] == turn.pop("action") == "observe"
     assert json.loads(call["function"]["arguments"]) == turn
@@ -101,34 +99,20 @@ def test_without_tools_to_call_the_reply_is_plain_json(server):
     ("more", "said"),
     [
         ({"stream": True}, "does not stream"),
-        ({"n": 2}, "one choice"),
-        ({"functions": [{"name": "observe"}]}, "in place of functions"),
-        ({"tool_choice": "any"}, "tool_choice must be"),
-        (
-            {"tools": TOOLS, "tool_choice": {"type": "function", "function": {"name": "look"}}},
-            "cannot be made to call look",
-        ),
-        (
-            {"tools": [OBSERVE], "tool_choice": {"type": "function", "function": {"name": "final_answer"}}},
-            "does not declare",
-        ),
-        ({"tools": [tool("observe", "zoom", zoom={}), ANSWER]}, "gives observe no zoom"),
-        ({"tools": [{"type": "retrieval"}]}, "no chat-completions request"),
+        ({"tools": [{"type": "retrieval"}]}, "not a chat-completions request"),
     ],
 )
 def test_what_it_does_not_do_is_refused_in_one_line(server, more, said):
     with pytest.raises(DecodeError, match=said) as caught:
-        asked(server, [{"role": "user", "content": HEADING}], **more)
+        asked(server, **{"messages": [{"role": "user", "content": HEADING}], **more})
     assert "\n" not in str(caught.value)
 
 
-def test_a_call_that_cannot_be_placed_is_refused(server, world):
+def test_pictures_without_references_need_tools(server, world):
     _, part = image(world, {"frame_id": "000015", "angle_deg": 180.0})
-    call = {"id": "c", "type": "function", "function": {"name": "observe", "arguments": '{"frame_id": 15}'}}
-    messages = [
-        {"role": "user", "content": HEADING},
-        {"role": "assistant", "content": None, "tool_calls": [call]},
-        {"role": "tool", "tool_call_id": "c", "content": [part]},
-    ]
-    with pytest.raises(DecodeError, match="arguments of an earlier call"):
-        asked(server, messages, tools=TOOLS)
+    place = {"type": "text", "text": 'Picture 1: {"frame_id": "000015", "angle_deg": 180.0}'}
+    end = {"type": "text", "text": "Looks made: 1, left: 23\nYour next turn, as one JSON object:"}
+    messages = [{"role": "user", "content": [{"type": "text", "text": HEADING}, place, part, end]}]
+    with pytest.raises(DecodeError, match="no reference"):
+        asked(server, messages)
+    assert asked(server, messages, tools=TOOLS)["message"]["tool_calls"]

@@ -70,7 +70,7 @@ def test_turns_are_titled_by_what_they_did(traced):
         "Turn 2: wrote 1 person (p1 new), 1 refused",
         "Turn 3: wrote 2 people (p2 new)",
     ]
-    assert [person.facts for person in turns[1].people] == [["action: walking"]]
+    assert [person.facts for person in turns[1].people] == [["action walking +2.2"]]
     assert turns[1].refused[0]["reason"].startswith("no observation o9")
 
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from fake_server import recorded_server
-from painted import QUESTIONS_ASKED, SEQUENCE
+from painted import QUESTIONS_ASKED, SEQUENCE, asked_sight
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS
@@ -60,7 +60,7 @@ def evaluate_all(store, url, players, *options):
         method = player.split()[0]
         own = f"--world-db {store.path}/world.kuzu" if method in WORLD_METHODS and "--images" in options else ""
         lines.append(
-            f"evaluate --store {store.path} --method {player} --model marker --base-url {url} "
+            f"evaluate --store {store.path} --method {player} --model simulated:perfect --base-url {url} "
             f"--run-id {run_of(player)} --limit {len(ASKED)} --concurrency 2 {' '.join(options)} {own}\n"
         )
     done = subprocess.run(
@@ -79,7 +79,7 @@ def evaluate_all(store, url, players, *options):
 @pytest.fixture(scope="module")
 def marker():
     """A marker server in this process that keeps what it is sent."""
-    with recorded_server() as recorded:
+    with recorded_server(asked_sight()) as recorded:
         yield recorded
 
 
@@ -224,6 +224,6 @@ def test_what_a_folder_without_labels_lacks_is_one_line(asked_world, tmp_path, o
     for name in ("questions", "sequences"):
         shutil.copy(asked_world / "store" / "questions" / f"{name}.parquet", bare)
     given = [str(asked_world / "images") if part == "IMAGES" else part for part in options]
-    result = CliRunner().invoke(command, ["--store", str(tmp_path / "bare"), "--model", "marker", *given])
+    result = CliRunner().invoke(command, ["--store", str(tmp_path / "bare"), "--model", "simulated:perfect", *given])
     assert isinstance(result.exception, StoreError)
     assert told in str(result.exception)
