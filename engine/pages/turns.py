@@ -102,7 +102,6 @@ class Decision(msgspec.Struct):
 
     bindings: list[Binding]
     conclusion: Conclusion | None = None
-    proposed: Any = None
     parts: list[PlanPartRow] = []
     statements: list[StatementRun] = []
 
