@@ -5,16 +5,16 @@ tables are append-only: a write adds rows and changes none. So what was known af
 `step <= k`.
 
 A *reading* is an edge that begins at an entity. `Sighted` (a box) and `Has` (an attribute) end at the look that shows
-it. `Related` (a relation) ends at another entity, and its column `look` has the key of the look. `weight` is the
-log-odds that the reading gives: positive if the value was affirmed, negative if it was denied. The weight of a further
-reading of a topic in the same frame is smaller (`schema.repeats`).
+it. `Related` (a relation) ends at another entity, and its column `look` has the key of the look. `log_odds` is what the
+reading says: positive if the value was affirmed, negative if it was denied. `weight` is what the reading adds to the
+sum of its frame. A further reading of a topic in the same frame adds less (`schema.repeats`).
 
 An edge with `origin` "derived" holds what follows from boxes and from several readings, such as the sector of a person.
 Its weight is the change against the sum of the edges before it. So a sum of weights is what is known at a step.
 
 The nodes have these keys: an `Episode` has `<run>/<question>`. A `Look` has `<episode>/o<number>`. An `Entity` has
 `<episode>/<name>`, with a name that the agent chose. A `Slot` or a `Write` has `<episode>/<number>`. A `Hypothesis` has
-`<episode>/h<rank>`.
+`<episode>/h<number>.<rank>`.
 
 `Look`, `Entity` and `Slot` also have a hash of the episode's key. Reads and writes of an agent find the rows of the
 agent's episode by this hash, because the engine compares it faster than the key.
@@ -50,13 +50,14 @@ def free_value(text: str) -> str:
 Origin = Literal["model", "relation", "derived"]
 """Origin of an edge.
 
-model: a model read it from a picture. relation: an affirmed relation says it of both people. derived: code computed it
+model: a model read it from a picture. relation: affirmed relations say it of both people. derived: code computed it
 from readings.
 """
 
 Tool = Literal[
     "begin",
     "plan",
+    "rank",
     "observe",
     "get_graph",
     "add_people",
@@ -161,6 +162,7 @@ class SlotRow(_NodeRow, frozen=True):
 
     Attributes:
         number: Index of the slot in its episode.
+        step: Index of the model call that set the plan. The slots of a later plan replace all earlier slots.
         kind: Kind of the slot.
         node: Node of the plan. The source of an edge.
         other: Target of an edge.
@@ -173,6 +175,7 @@ class SlotRow(_NodeRow, frozen=True):
         often: Prior probability that the part holds for a person or a pair.
     """
 
+    step: int
     kind: SlotKind
     node: str
     other: str
@@ -188,11 +191,13 @@ class SlotRow(_NodeRow, frozen=True):
 class HypothesisRow(_NodeRow, frozen=True):
     """Row of `Hypothesis`, which is one binding of the plan's nodes.
 
-    The edge `Ranks` from the episode to the hypothesis is written together with the row, at the end of the episode.
+    The edge `Ranks` from the episode to the hypothesis is written together with the row. Hypotheses are written each
+    time the statements give other ones, and at the end of the episode.
 
     Attributes:
-        number: Rank by log-odds, from 1. The answer is about the target of rank 1 or of one nearly as likely.
+        number: Index of the write that added the hypothesis.
         step: Index of the model call after which the binding was written.
+        rank: Rank by log-odds, from 1. The answer is about the target of rank 1 or of one nearly as likely.
         entity: Entity of the plan's target.
         nodes: Binding as text, such as "a=p1, b=p2".
         log_odds: Summed log-odds.
@@ -203,6 +208,7 @@ class HypothesisRow(_NodeRow, frozen=True):
     """
 
     step: int
+    rank: int
     entity: str
     nodes: str
     log_odds: float
@@ -243,12 +249,14 @@ class SightingRow(_EdgeRow, frozen=True):
         box: Box in stitched pixels.
         angle: Panorama angle of the centre of the box, in degrees.
         whole: Whether no edge of the look cuts the box.
+        number: Number of the person among the people of the look.
         metres: Distance in metres as the model read it, -1 without a reading.
     """
 
     box: Box
     angle: float
     whole: bool
+    number: int
     metres: float
 
 
@@ -259,6 +267,7 @@ class AttributeRow(_EdgeRow, frozen=True):
         topic: Question that the value answers, such as "pose" or "action reading".
         name: Attribute.
         value: Value.
+        log_odds: Log-odds of the reading for the value.
         weight: Log-odds that the edge adds for the value.
         exclusive: Whether an affirmed value excludes the other values of its topic.
         origin: Origin of the edge.
@@ -267,6 +276,7 @@ class AttributeRow(_EdgeRow, frozen=True):
     topic: str
     name: str
     value: str
+    log_odds: float
     weight: float
     exclusive: bool
     origin: Origin
@@ -277,12 +287,14 @@ class RelationRow(_EdgeRow, frozen=True):
 
     Attributes:
         name: Relation.
+        log_odds: Log-odds of the reading for the relation.
         weight: Log-odds that the edge adds for the relation.
         look: Key of the look that shows the relation.
         origin: Origin of the edge.
     """
 
     name: str
+    log_odds: float
     weight: float
     look: str
     origin: Origin
@@ -300,7 +312,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         sighted: New sightings.
         has: New attributes.
         related: New relations.
-        hypotheses: Bindings at the end of the episode.
+        hypotheses: Likeliest bindings.
     """
 
     episode: EpisodeRow | None = None

@@ -66,7 +66,7 @@ def test_programs_get_the_names_of_the_stub():
 SNIPPET = """
 import jrdb_avr as avr
 store = avr.Store("store")
-reveal_type(avr.evaluate(store, "react", "marker", avr.EvaluateOptions(run=avr.RunOptions(resume=True))).predictions)
+reveal_type(avr.evaluate(store, "react", "simulated", avr.EvaluateOptions(run=avr.RunOptions(resume=True))).predictions)
 reveal_type(avr.report(store).table("main"))
 reveal_type(avr.load("root", store).refused)
 reveal_type(avr.generate(store, avr.Rules()).faults)
@@ -189,6 +189,6 @@ def test_a_method_object_is_evaluated(store):
     assert run.run_id == "mine-none" and run.row()["answered"] == run.predictions.num_rows == 12
     assert seen[0] == ("mine, none", 0, 12) and seen[-1] == ("mine, none", 12, 12)
     with pytest.raises(jrdb_avr.InputError, match="not one of"):
-        jrdb_avr.evaluate(store, "reacts", "marker")
+        jrdb_avr.evaluate(store, "reacts", "simulated")
     with pytest.raises(jrdb_avr.InputError, match="needs a model"):
         jrdb_avr.evaluate(store, "react")

@@ -27,6 +27,9 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
 
+CLEAR_ODDS: Final = 1.0
+"""Minimum log-odds of the binding of a certain target."""
+
 CLEAR_MARGIN: Final = 2.0
 """Minimum log-odds by which a certain target is ahead of the next one."""
 
@@ -55,6 +58,9 @@ CHANGES: Final = (
 Counted in JRDB's action labels of 27 sequences, between keyframes that are 15 frames apart, if both frames have exactly
 one posture of the person. Such postures are hard to tell apart, also for annotators. Other pairs do not occur.
 """
+
+_OFTEN: Final = 100
+"""Minimum count of changes between two postures of which neither is ever certain."""
 
 _WEAKEST: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
 
@@ -127,7 +133,8 @@ def conclude(
     if not states or hypothesis.log_odds <= 0:
         verdict: Verdict = "guess"
     else:
-        clear = hypothesis.margin >= CLEAR_MARGIN and box.h >= CLEAR_HEIGHT and not _is_neither(answer, choices)
+        clear = hypothesis.log_odds >= CLEAR_ODDS and hypothesis.margin >= CLEAR_MARGIN and box.h >= CLEAR_HEIGHT
+        clear = clear and not _is_neither(answer, choices)
         verdict = "certain" if clear and {state, *states} == {"certain"} else "supported"
     return Conclusion(answer, entity, box_frame, box, verdict)
 
@@ -156,6 +163,11 @@ def nearest_postures(posture: str) -> tuple[str, ...]:
     """
     pairs = [{first, last} for first, last, _ in CHANGES if posture in (first, last)]
     return tuple((pair - {posture}).pop() for pair in pairs)
+
+
+def is_doubted(label: str) -> bool:
+    """Return whether a label is a posture that often changes into another one, so that no reading of it is certain."""
+    return any(count >= _OFTEN and label in (first, last) for first, last, count in CHANGES)
 
 
 def _is_neither(answer: Answer, choices: Sequence[str]) -> bool:
@@ -216,7 +228,7 @@ class _Reader:
         seen = min(self._read_frames(), key=lambda at: (abs(at - frame), at))
         if order and odds[order[0]] > 0:
             ahead = odds[order[0]] - (odds[order[1]] if len(order) > 1 else 0.0)
-            sure = odds[order[0]] >= CERTAIN and ahead >= CERTAIN
+            sure = odds[order[0]] >= CERTAIN and ahead >= CERTAIN and not is_doubted(values[order[0] - 1])
             return ReadAnswer(Choice(order[0]), seen, "certain" if sure else "supported")
         near = self._nearest_posture(values, frame) if name == "action" else None
         return ReadAnswer(near, seen, "open" if near is None else "supported")
@@ -238,7 +250,7 @@ class _Reader:
         first = next(iter(course.values()), "")
         for at, posture in course.items():
             if at > after and posture != first and (choice := self._choice(posture)) is not None:
-                sure = self.tracks.values(self.entity, "pose", at)[0].log_odds >= CERTAIN
+                sure = self.tracks.values(self.entity, "pose", at)[0].log_odds >= CERTAIN and not is_doubted(posture)
                 return ReadAnswer(choice, at, "certain" if sure else "supported")
         return ReadAnswer(None, after, "open")
 

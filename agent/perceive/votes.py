@@ -299,9 +299,9 @@ class Tracks:
     def _tie(self, source: str, relation: str, target: str, frame: int) -> Support:
         return self._support(self._tie_votes.get(tie_key(source, relation, target), ()), frame)
 
-    def is_voted(self, key: TieKey, frame: int) -> bool:
-        """Return whether a reading at a frame is a vote on the relation with this key."""
-        return any(at == frame for at, _ in self._tie_votes.get(key, ()))
+    def tie_votes(self, key: TieKey, frame: int) -> list[float]:
+        """Return the weighted votes of readings at a frame on the relation with this key."""
+        return [vote for at, vote in self._tie_votes.get(key, ()) if at == frame]
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
         boxes = self.boxes(at)
@@ -377,7 +377,8 @@ def _vote_of(reading: PersonReading, name: str, value: str, topic: str) -> float
     if name == "distance" and reading.metres is not None:
         return _truth_vote(at_distance(reading.metres, value))
     votes = [vote_of_label(label, value) for label in reading.labels if label.topic == topic]
-    return max(votes, key=abs) if votes else None
+    # Labels that contradict each other cancel out. Labels that agree count as one.
+    return max(0.0, *votes) + min(0.0, *votes) if votes else None
 
 
 def vote_of_label(label: ReadLabel, value: str) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -68,7 +68,7 @@ class WorldMemory:
 
     heading: the lines that begin each user message. advises: whether turns advise looks. fixed: whether each turn shows
     all views, because no look can be made. shown: the views of the next turn: all, or the views about which nothing is
-    written. counts: number of people written per observation. proposed: the newest readable answer of the model.
+    written. counts: number of people listed per observation. proposed: the newest readable answer of the model.
     final_refused: whether a final answer was refused because the graph does not support it.
     """
 
@@ -221,6 +221,7 @@ class WorldMemory:
         elif call.tool == "add_entity":
             name, person = read_entity(call.arguments, views, self.counts, self.attempt.convention)
             self._add(person.observation, [(name, person)], step)
+            self.counts[person.observation] += 1
             result = "done"
         elif call.tool == "add_attribute":
             entity, observation, label = read_attribute(call.arguments, views, self.fields)
@@ -237,18 +238,25 @@ class WorldMemory:
         """Write the people of a picture. A person with a fault is refused alone."""
         convention = self.attempt.convention
         observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
+        for name in [name for name, _ in people if self._is_written(name, observation)]:
+            faults.append(({"id": name}, f"{name} already has a box in {observation}"))
+            people = [entry for entry in people if entry[0] != name]
         for person, reason in faults:
             arguments = {"observation": observation, "people": [person]}
             self.world.refuse("add_people", _stored(arguments), printable(reason), step)
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
         self._add(observation, people, step)
+        # The number of a refused person is not used again, because relations of other people may name it.
+        self.counts[observation] += len(people) + len(faults)
         refused = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
         return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{refused}"
 
+    def _is_written(self, entity: str, observation: str) -> bool:
+        return any(reading.observation == observation for reading in self.world.tracks.people.get(entity, ()))
+
     def _add(self, observation: str, people: Sequence[tuple[str, Any]], step: int) -> None:
         self.world.add_people(observation, people, step)
-        self.counts[observation] += len(people)
         if not self.fixed:
             self.shown = [view for view in self.shown if view.name != observation]
 
@@ -320,6 +328,9 @@ class WorldMemory:
             raise DecodeError("entity must be the id of the plan's target")
         conclusion = self._concluded()
         looks = self.advised_looks(left)
+        if conclusion is not None and any(look.purpose == "identify" for look in looks):
+            # A person whom no look has shown may fit as well.
+            conclusion = replace(conclusion, verdict="guess" if conclusion.verdict == "guess" else "supported")
         reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
             return self._answer(conclusion, self.proposed, "", step)

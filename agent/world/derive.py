@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.look.ranking import PlanPart, absence_evidence, edges_of, frames_of, parts_of
 from jrdb_avr.agent.perceive.geometry import DERIVED
 from jrdb_avr.agent.perceive.readings import PersonReading, has_one_value, topic_of
-from jrdb_avr.agent.perceive.votes import Tracks, signed, tie_key
+from jrdb_avr.agent.perceive.votes import TieKey, Tracks, signed, tie_key
 from jrdb_avr.schema.beliefs import TIMELESS, Origin, SlotKind, SlotRow
-from jrdb_avr.schema.labels import may_be_called
+from jrdb_avr.schema.labels import INTERACTIONS, may_be_called
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.relations import SAME_GROUP
 
 ENTITY_TOPIC: Final = "entity"
 """Topic of the edge that each entity has."""
-
-YES: Final = "yes"
-"""Value of derived `Has` edges: the weight is the evidence for the slot."""
 
 _ANY_FRAME: Final = -1
 _FROM_BOXES: Final = frozenset({"sector", "distance", "group_size"})
@@ -37,12 +35,13 @@ class Slot(NamedTuple):
         return None if self.row.frame == _ANY_FRAME else self.row.frame
 
 
-def slots_of(plan: Plan, episode: str, first: int = 0) -> tuple[Slot, ...]:
+def slots_of(plan: Plan, episode: str, step: int = 0, first: int = 0) -> tuple[Slot, ...]:
     """Return the slots of a plan.
 
     Args:
         plan: The plan, as `perceivable` returns it.
         episode: Key of the episode.
+        step: Index of the model call that set the plan.
         first: Number of the first slot.
 
     Returns:
@@ -51,26 +50,12 @@ def slots_of(plan: Plan, episode: str, first: int = 0) -> tuple[Slot, ...]:
     slots: list[Slot] = []
 
     def add(kind: SlotKind, part: PlanPart | None, topic: str, origin: Origin, frame: int, node: str = "") -> None:
-        number = first + len(slots)
-        ends = (node, "") if part is None else (*part.nodes, "")[:2]
-        name, value, often = ("", YES, 1.0) if part is None else (part.name, part.value, part.often)
-        value = YES if origin == "derived" else value
+        source, target = (node, "") if part is None else (*part.nodes, "")[:2]
+        name, value, often = (kind, "", 1.0) if part is None else (part.name, part.value, part.often)
         also = "|".join(may_be_called(value)) if origin == "model" and kind == "condition" else ""
-        row = SlotRow(
-            f"{episode}/{number}",
-            episode,
-            number,
-            kind,
-            ends[0],
-            ends[1],
-            name,
-            value,
-            topic,
-            origin,
-            also,
-            frame,
-            often,
-        )
+        number = first + len(slots)
+        key = f"{episode}/{number}"
+        row = SlotRow(key, episode, number, step, kind, source, target, name, value, topic, origin, also, frame, often)
         slots.append(Slot(row, part))
 
     add("entity", None, ENTITY_TOPIC, "derived", _ANY_FRAME)
@@ -93,25 +78,27 @@ def slots_of(plan: Plan, episode: str, first: int = 0) -> tuple[Slot, ...]:
 
 
 class HasValue(NamedTuple):
-    """An attribute to write: entity, frame, topic, name, value, weight, and whether the value excludes others."""
+    """An attribute to write. The fields are columns of `AttributeRow`."""
 
     entity: str
     frame: int
     topic: str
     name: str
     value: str
+    log_odds: float
     weight: float
     exclusive: bool
     origin: Origin
 
 
 class Relation(NamedTuple):
-    """A relation to write: source, target, frame, name, weight and origin."""
+    """A relation to write. The fields are columns of `RelationRow`."""
 
     source: str
     target: str
     frame: int
     name: str
+    log_odds: float
     weight: float
     origin: Origin
 
@@ -127,36 +114,62 @@ def read_values(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> 
         The attributes, with weights.
     """
     for entity, reading in people:
+        others = [item for item in before.readings_at(entity, reading.frame) if item.observation != reading.observation]
+        topics = {label.topic for item in others for label in item.labels}
         for label in reading.labels:
-            earlier = before.readings_at(entity, reading.frame)
-            repeated = any(other.topic == label.topic for item in earlier for other in item.labels)
-            weight = signed(label.holds, label.confidence) * (before.repeats.frame if repeated else 1.0)
+            log_odds = signed(label.holds, label.confidence)
+            weight = log_odds * (before.repeats.frame if label.topic in topics else 1.0)
             exclusive = has_one_value(label.topic)
-            yield HasValue(entity, reading.frame, label.topic, label.name, label.value, weight, exclusive, "model")
+            said = label.topic, label.name, label.value, log_odds, weight, exclusive
+            yield HasValue(entity, reading.frame, *said, "model")
 
 
-def read_relations(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> Iterator[Relation]:
-    """Yield the relations of new readings.
+def read_relations(before: Tracks, after: Tracks, people: Sequence[tuple[str, PersonReading]]) -> list[Relation]:
+    """Return the relations of new readings.
 
     Args:
-        before: Tracks before the readings, which say what a reading repeats.
+        before: Tracks before the readings.
+        after: Tracks with the readings.
         people: Entity and reading of each person of a picture.
 
-    Yields:
-        The relations, with weights.
+    Returns:
+        The relations. The weights of a pair sum to the change of the sum of the pair's votes at the frame.
     """
     names = {reading.number: entity for entity, reading in people}
-    voted: set[tuple[tuple[str, str, str], int]] = set()
-    for entity, reading in sorted(people, key=lambda person: person[1].number):
-        for tie in sorted(reading.ties, key=lambda tie: tie.other):
-            target = names.get(tie.other)
-            if target is None:
-                continue
-            key = tie_key(entity, tie.relation, target)
-            repeated = (key, reading.frame) in voted or before.is_voted(key, reading.frame)
-            voted.add((key, reading.frame))
-            weight = signed(tie.holds, tie.confidence) * (before.repeats.frame if repeated else 1.0)
-            yield Relation(entity, target, reading.frame, tie.relation, weight, "model")
+    groups: dict[tuple[TieKey, int], list[Relation]] = defaultdict(list)
+    for entity, reading in people:
+        for tie in reading.ties:
+            if (target := names.get(tie.other)) is not None:
+                log_odds = signed(tie.holds, tie.confidence)
+                weights = log_odds, log_odds * before.repeats.frame
+                relation = Relation(entity, target, reading.frame, tie.relation, *weights, "model")
+                groups[tie_key(entity, tie.relation, target), reading.frame].append(relation)
+    relations = []
+    for (key, frame), (first, *others) in groups.items():
+        change = sum(after.tie_votes(key, frame)) - sum(before.tie_votes(key, frame))
+        relations += [first._replace(weight=change - sum(other.weight for other in others)), *others]
+    return relations
+
+
+def shared_interactions(before: Tracks, after: Tracks, relations: Sequence[Relation]) -> Iterator[HasValue]:
+    """Yield the interactions that affirmed relations say of both people.
+
+    Args:
+        before: Tracks before the relations.
+        after: Tracks with the relations.
+        relations: New relations.
+
+    Yields:
+        The changes of the interactions' sums.
+    """
+    keys = {(tie_key(item.source, item.name, item.target), item.frame): None for item in relations}
+    for key, frame in keys:
+        sums = [sum(vote for vote in tracks.tie_votes(key, frame) if vote > 0) for tracks in (after, before)]
+        change = sums[0] - sums[1]
+        if key[1] in INTERACTIONS and change:
+            for entity in (key[0], key[2]):
+                topic = topic_of("interaction", key[1])
+                yield HasValue(entity, frame, topic, "interaction", key[1], change, change, False, "relation")
 
 
 Key = tuple[str, str, str]

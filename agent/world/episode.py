@@ -7,6 +7,8 @@ them into bindings. The readings of the target, and with them the answer, are re
 
 from __future__ import annotations
 
+import json
+import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
@@ -23,7 +25,6 @@ from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
 from jrdb_avr.agent.perceive.votes import Support, Tracks, Vote, fuse
 from jrdb_avr.agent.world.derive import (
     ENTITY_TOPIC,
-    YES,
     HasValue,
     Key,
     Relation,
@@ -31,6 +32,7 @@ from jrdb_avr.agent.world.derive import (
     increments,
     read_relations,
     read_values,
+    shared_interactions,
     slots_of,
 )
 from jrdb_avr.queries.beliefs.episode import EpisodeRows
@@ -53,9 +55,8 @@ from jrdb_avr.schema.beliefs import (
     episode_hash,
 )
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.labels import INTERACTIONS
 from jrdb_avr.schema.method import Observation, Panorama, Question
-from jrdb_avr.schema.panorama import WIDTH, Box, center_angle
+from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle
 from jrdb_avr.schema.plan import Plan, canonical
 from jrdb_avr.schema.relations import SYMMETRIC
 from jrdb_avr.schema.repeats import USUAL_REPEATS, Repeats
@@ -63,13 +64,16 @@ from jrdb_avr.schema.repeats import USUAL_REPEATS, Repeats
 MOST_ENTITIES: Final = 200
 """Maximum number of entities of an episode."""
 
+LONGEST_ARGUMENTS: Final = 8_000
+"""Maximum number of characters of a call's arguments in the record."""
+
+_DIGITS: Final = 9
+"""Number of decimals of a sum of weights, because the engine adds them in any order."""
+
 _MOST_RANKED: Final = 5
-"""Maximum number of bindings that are written at the end, each with another target."""
+"""Maximum number of bindings that are written together, each with another target."""
 
 _NO_METRES: Final = -1.0
-_AHEAD: Final = 180.0
-"""Panorama angle of the middle of a whole panorama."""
-
 Record = Callable[[Write], None]
 """Function that records a write."""
 
@@ -124,6 +128,8 @@ class WorldEpisode:
         self._written: dict[Key, float] = {}
         self._waiting: list[tuple[Write, Fact]] = []
         self._evidence: _Evidence | None = None
+        self._step = 0
+        self._ranks: list[tuple[str, float]] = []
         episode = EpisodeRow(self.key, run_id, question.question_id, question.sequence)
         self._write("begin", {"question": question.question}, 0, Fact(episode=episode))
 
@@ -137,11 +143,11 @@ class WorldEpisode:
     def _set_slots(self, accepted: Plan, plan: Plan, step: int, look: LookRow | None = None) -> None:
         """Write the slots of a plan and, after a look, what follows for them. They replace older slots."""
         self.plan = plan
-        self._slots = slots_of(plan, self.key, self._slots[-1].row.number + 1 if self._slots else 0)
+        self._slots = slots_of(plan, self.key, step, self._slots[-1].row.number + 1 if self._slots else 0)
         fact = Fact(slots=tuple(slot.row for slot in self._slots))
         if look is not None:
-            fact = self._with_evidence(fact, look, [], [], step)
-        self._write("plan", msgspec.Raw(canonical(accepted).encode()), step, fact)
+            fact = self._with_evidence(fact, look, self.tracks, [], step)
+        self._write("plan", msgspec.json.decode(canonical(accepted)), step, fact)
 
     def _follow_events(self, look: LookRow, step: int) -> None:
         """Ask for the facts at group events at the frames at which the likeliest people were read to change groups."""
@@ -164,9 +170,11 @@ class WorldEpisode:
             The name of the look: "o1", "o2" and so on.
         """
         number = len(self._looks) + 1
-        name, panorama = f"o{number}", isinstance(view, Panorama)
-        left, width, angle = (0, WIDTH, _AHEAD) if panorama else (view.left, view.image.shape[1], view.angle_deg)
-        row = LookRow(f"{self.key}/{name}", self.key, number, step, view.frame_index, float(angle), int(left), width)
+        name = f"o{number}"
+        columns = (180.0, 0, WIDTH)
+        if isinstance(view, Observation):
+            columns = (float(view.angle_deg), int(view.left), CROP)
+        row = LookRow(f"{self.key}/{name}", self.key, number, step, view.frame_index, *columns)
         self._looks[name] = row
         self._write("observe", {"frame": row.frame, "angle": row.angle}, step, Fact(looks=(row,)))
         return name
@@ -204,16 +212,15 @@ class WorldEpisode:
         self._entities |= {row.name: row for row in new}
         sighted = tuple(
             SightingRow(*self._ends(entity, look), self.key, number, step, look.frame, Box(*map(float, reading.box)),
-                        center_angle(reading.box.x, reading.box.w), reading.whole,
+                        center_angle(reading.box.x, reading.box.w), reading.whole, reading.number,
                         _NO_METRES if reading.metres is None else reading.metres)
             for entity, reading in people
         )  # fmt: skip
         listed = () if columns is None else (ListedRow(self.key, look.id, self.key, number, step, look.frame),)
         self._listed.add(observation)
-        values, relations = [*read_values(before, people)], [*read_relations(before, people)]
         fact = Fact(entities=new, listed=listed, sighted=sighted)
         arguments = {"observation": observation, "people": names}
-        self._write("add_people", arguments, step, self._with_evidence(fact, look, values, relations, step))
+        self._write("add_people", arguments, step, self._with_evidence(fact, look, before, people, step))
         self._follow_events(look, step)
 
     def add_attribute(self, entity: str, observation: str, label: ReadLabel, step: int) -> None:
@@ -223,11 +230,16 @@ class WorldEpisode:
             DecodeError: If the look was not made, or the entity has no sighting in it.
         """
         reading = self._reading(entity, observation)
+        readings = self.tracks.readings_at(entity, reading.frame)
+        for later in readings[readings.index(reading) + 1 :]:
+            # The first reading of a topic in a frame has the full weight, which cannot be taken back.
+            if any(other.topic == label.topic for other in later.labels):
+                raise DecodeError(f"{label.topic} of {entity} was already read in {later.observation}")
         before = self._replace(entity, reading, replace(reading, labels=(*reading.labels, label)))
-        values = [*read_values(before, [(entity, replace(reading, labels=(label,)))])]
+        people = [(entity, replace(reading, labels=(label,), ties=()))]
         arguments = {"entity": entity, "observation": observation, "name": label.name, "value": label.value}
-        look = self._look(observation)
-        self._write("add_attribute", arguments, step, self._with_evidence(Fact(), look, values, [], step))
+        fact = self._with_evidence(Fact(), self._look(observation), before, people, step)
+        self._write("add_attribute", arguments, step, fact)
 
     def add_relation(self, source: str, observation: str, relation: str, target: str, step: int) -> None:
         """Write a relation between two entities that have a sighting in a look.
@@ -238,10 +250,10 @@ class WorldEpisode:
         reading, other = self._reading(source, observation), self._reading(target, observation)
         tie = ReadTie(relation, other.number)
         before = self._replace(source, reading, replace(reading, ties=(*reading.ties, tie)))
-        pair = [(source, replace(reading, ties=(tie,))), (target, replace(other, ties=()))]
+        pair = [(source, replace(reading, labels=(), ties=(tie,))), (target, replace(other, labels=(), ties=()))]
         arguments = {"source": source, "observation": observation, "name": relation, "target": target}
-        look, relations = self._look(observation), [*read_relations(before, pair)]
-        self._write("add_relation", arguments, step, self._with_evidence(Fact(), look, [], relations, step))
+        look = self._look(observation)
+        self._write("add_relation", arguments, step, self._with_evidence(Fact(), look, before, pair, step))
         self._follow_events(look, step)
 
     def refuse(self, tool: Tool, arguments: object, reason: str, step: int) -> None:
@@ -256,50 +268,51 @@ class WorldEpisode:
             conclusion: Answer that the graph supports, or None.
             step: Index of the model call.
         """
-        best = [] if self.plan is None else [*best_of_each(self.bindings(), self.plan.target).items()][:_MOST_RANKED]
-        rows = []
-        for rank, (entity, hypothesis) in enumerate(best, 1):
+        rows = self._ranked(self.bindings(), step, conclusion)
+        arguments = {"answer": None if proposed is None else msgspec.to_builtins(proposed)}
+        self._write("final_answer", arguments, step, Fact(hypotheses=rows))
+        self._settle()
+
+    def _ranked(
+        self, bindings: Sequence[RankedHypothesis], step: int, conclusion: Conclusion | None = None
+    ) -> tuple[HypothesisRow, ...]:
+        """Return the rows of the likeliest bindings, each with another target."""
+        assert self.plan is not None, "a plan is set before it is solved"
+        best, number, rows = best_of_each(bindings, self.plan.target), self._rows.written, []
+        for rank, (entity, hypothesis) in enumerate([*best.items()][:_MOST_RANKED], 1):
             nodes = ", ".join(f"{node}={name}" for node, name in hypothesis.nodes.items())
-            answer: tuple[str, str, int] = ("", "", -1)
+            answer: tuple[Any, ...] = ("", "", -1)
             if conclusion is not None and conclusion.entity == entity:
                 answer = encode_answer(conclusion.answer), conclusion.verdict, conclusion.frame
             odds = hypothesis.log_odds, min(hypothesis.margin, float(ALWAYS))
-            rows.append(HypothesisRow(f"{self.key}/h{rank}", self.key, rank, step, entity, nodes, *odds, *answer))
-        arguments = {"answer": None if proposed is None else msgspec.to_builtins(proposed)}
-        self._write("final_answer", arguments, step, Fact(hypotheses=tuple(rows)))
-        self._settle()
+            key = f"{self.key}/h{number}.{rank}"
+            rows.append(HypothesisRow(key, self.key, number, step, rank, entity, nodes, *odds, *answer))
+        return tuple(rows)
 
     def _with_evidence(
-        self, fact: Fact, look: LookRow, values: list[HasValue], relations: list[Relation], step: int
+        self, fact: Fact, look: LookRow, before: Tracks, people: Sequence[tuple[str, PersonReading]], step: int
     ) -> Fact:
-        """Return a fact with the edges of attributes and relations, and with the increments that follow from them."""
-        values += [
-            HasValue(
-                entity, item.frame, f"interaction {item.name}", "interaction", item.name, item.weight, False, "relation"
-            )
-            for item in relations
-            if item.name in INTERACTIONS and item.weight > 0
-            for entity in (item.source, item.target)
-        ]
-        frames = {slot.row.topic: slot.row.frame for slot in self._slots}
+        """Return a fact with the edges of new readings, and with the increments that follow from them."""
+        values, relations = [*read_values(before, people)], read_relations(before, self.tracks, people)
+        values += shared_interactions(before, self.tracks, relations)
+        slots = {slot.row.topic: slot.row for slot in self._slots}
         for key, change in increments(self._slots, self.tracks, self._written).items():
             topic, entity, other = key
+            slot = slots[topic]
             self._written[key] = self._written.get(key, 0.0) + change
             if other:
-                relations.append(Relation(entity, other, frames[topic], topic, change, "derived"))
+                relations.append(Relation(entity, other, slot.frame, slot.name, change, change, "derived"))
             else:
-                values.append(HasValue(entity, frames[topic], topic, topic.split()[0], YES, change, False, "derived"))
-        number = self._rows.written
-        has = tuple(
-            AttributeRow(*self._ends(item.entity, look), self.key, number, step, item.frame, item.topic, item.name,
-                         item.value, item.weight, item.exclusive, item.origin)
-            for item in values
-        )  # fmt: skip
+                columns = topic, slot.name, slot.value, change, change
+                values.append(HasValue(entity, slot.frame, *columns, False, "derived"))
+        shared: tuple[Any, ...] = (self.key, self._rows.written, step)
+        has = tuple(AttributeRow(*self._ends(entity, look), *shared, *columns) for entity, *columns in values)
         related = tuple(
-            RelationRow(f"{self.key}/{item.source}", f"{self.key}/{item.target}", self.key, number, step, item.frame,
-                        item.name, item.weight, look.id, item.origin)
-            for item in relations
-        )  # fmt: skip
+            RelationRow(
+                f"{self.key}/{source}", f"{self.key}/{target}", *shared, frame, name, log_odds, weight, look.id, origin
+            )
+            for source, target, frame, name, log_odds, weight, origin in relations
+        )
         return msgspec.structs.replace(fact, has=has, related=related)
 
     def _ends(self, entity: str, look: LookRow) -> tuple[str, str]:
@@ -327,11 +340,10 @@ class WorldEpisode:
 
     def _write(self, tool: Tool, arguments: object, step: int, fact: Fact | None, reason: str = "") -> None:
         text = "" if fact is None else msgspec.json.encode(fact).decode()
-        shown = msgspec.json.encode(arguments).decode()
-        write = Write(self._rows.written, step, tool, shown, not reason, reason, text)
+        write = Write(self._rows.written, step, tool, _as_json(arguments), not reason, reason, text)
         self._rows.apply(write.number, fact)
         self._waiting.append((write, fact or Fact()))
-        self._evidence = None
+        self._evidence, self._step = None, step
 
     def _settle(self) -> None:
         """Add the waiting rows to the graph in one transaction, then record their writes."""
@@ -370,6 +382,8 @@ class WorldEpisode:
         Returns:
             The conclusion, or None if no entity fits the plan.
         """
+        # The answer never depends on rows that were read before.
+        self._evidence = None
         bindings = self.bindings()
         if self.plan is None or not bindings:
             return None
@@ -383,14 +397,14 @@ class WorldEpisode:
         )
         labels: dict[tuple[str, int], list[ReadLabel]] = defaultdict(list)
         for row in attributes:
-            labels[row["entity"], row["look"]].append(ReadLabel(row["name"], row["value"], row["weight"] > 0))
-        numbers: dict[tuple[str, int], int] = {}
-        for row in sightings:
-            numbers[row["entity"], row["look"]] = 1 + sum(look == row["look"] for _, look in numbers)
+            labels[row["entity"], row["look"]].append(ReadLabel(row["name"], row["value"], *_read(row["log_odds"])))
+        numbers = {(row["entity"], row["look"]): row["number"] for row in sightings}
         ties: dict[tuple[str, int], list[ReadTie]] = defaultdict(list)
         for row in relations:
             look = int(row["look"].rpartition("/o")[2])
-            ties[row["source"], look].append(ReadTie(row["name"], numbers[row["target"], look], row["weight"] > 0))
+            ties[row["source"], look].append(
+                ReadTie(row["name"], numbers[row["target"], look], *_read(row["log_odds"]))
+            )
         people: dict[str, tuple[PersonReading, ...]] = {}
         for row in sightings:
             key = row["entity"], row["look"]
@@ -427,7 +441,12 @@ class WorldEpisode:
             assert self.plan is not None, "a plan is set before the graph is read"
             has_edges = any(slot.row.kind == "edge" for slot in self._slots)
             pairs = self._rows_of("pairs") if has_edges else []
-            self._evidence = _Evidence(self.plan, self._slots, self._rows_of("slots"), pairs, self.tracks.repeats)
+            evidence = _Evidence(self.plan, self._slots, self._rows_of("slots"), pairs, self.tracks.repeats)
+            ranked = [(row.nodes, round(row.log_odds, 6)) for row in self._ranked(evidence.bindings, self._step)]
+            if ranked != self._ranks:
+                self._ranks = ranked
+                self._write("rank", {}, self._step, Fact(hypotheses=self._ranked(evidence.bindings, self._step)))
+            self._evidence = evidence
         return self._evidence
 
 
@@ -449,13 +468,13 @@ class _Evidence:
         # Rows of replaced slots are left out.
         singles, pairs = ([row for row in rows if row["slot"] in numbered] for rows in (singles, pairs))
         for row in singles:
-            self._votes[row["slot"], row["entity"], ""].append((row["frame"], row["weight"]))
+            self._votes[row["slot"], row["entity"], ""].append((row["frame"], round(row["weight"], _DIGITS)))
         for row in pairs:
             ends = row["source"], row["target"]
             slot = numbered[row["slot"]].row
             symmetric = slot.name in SYMMETRIC and slot.origin == "model"
             for source, target in (ends, ends[::-1]) if symmetric else (ends,):
-                self._votes[row["slot"], source, target].append((row["frame"], row["weight"]))
+                self._votes[row["slot"], source, target].append((row["frame"], round(row["weight"], _DIGITS)))
         self.parts = [slot for slot in slots if slot.part is not None]
         edges = edges_of(plan)
         entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}
@@ -493,3 +512,17 @@ def _is_inside(box: Box, look: LookRow) -> bool:
     """Return whether a box in stitched pixels has columns of a look only. One pixel is allowed for rounding."""
     begin = (box.x - look.left + 1.0) % WIDTH
     return box.w > 0 and box.h > 0 and begin + box.w <= look.width + 2.0
+
+
+def _read(log_odds: float) -> tuple[bool, float]:
+    """Return whether a reading affirms a value, and its confidence."""
+    return log_odds > 0, round(1 / (1 + math.exp(-abs(log_odds))), 9)
+
+
+def _as_json(arguments: object) -> str:
+    """Return arguments as JSON in ASCII. Arguments of a refused call may be any values that a model wrote."""
+    try:
+        text = json.dumps(arguments, allow_nan=False)
+    except (TypeError, ValueError, RecursionError):
+        text = json.dumps(f"unreadable {type(arguments).__name__}")
+    return text if len(text) <= LONGEST_ARGUMENTS else json.dumps(text[: LONGEST_ARGUMENTS // 2] + "...")

@@ -6,6 +6,7 @@ Predictions are scored by the module `judge`, which reads the private files: ans
 from __future__ import annotations
 
 import contextlib
+import os
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,6 +21,7 @@ from jrdb_avr.agent.model.messages import jpeg_picture
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import select_questions
+from jrdb_avr.queries.manifest import MANIFEST_NAME
 from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.store import Store
@@ -148,6 +150,8 @@ class Bench:
 
 _GREY: Final = 105
 """Grey level of the pictures of sequences without panoramas."""
+_NOWHERE: Final = os.devnull
+"""Path below which no file can exist."""
 
 _LABELS_BESIDE: Final = ("image_stitched", "images")
 """Names of the folders between the panoramas and JRDB's root folder, innermost first. Labels are also in the root."""
@@ -186,7 +190,7 @@ def find_images(store: Store, images: str | Path | None) -> str | None:
 
 @contextlib.contextmanager
 def with_grey_pictures(store: Store, image_root: str | None) -> Iterator[str | None]:
-    """Yield a folder of panoramas in which each sequence without panoramas has grey ones, for simulated runs.
+    """Yield a folder of panoramas in which each sequence that has only annotations has grey ones, for simulated runs.
 
     Args:
         store: The store.
@@ -196,8 +200,9 @@ def with_grey_pictures(store: Store, image_root: str | None) -> Iterator[str | N
         `image_root` itself if no sequence lacks panoramas, otherwise a temporary folder.
     """
     infos = read_sequences(store)
-    folders = {} if image_root is None else {name: Path(image_root, name).resolve() for name in infos}
-    lacking = [name for name in infos if name not in folders or not any(folders[name].glob("*.jpg"))]
+    folders = {name: Path(image_root or _NOWHERE, name).resolve() for name in infos}
+    annotated = store.manifest().sequences if (store.path / MANIFEST_NAME).exists() else {}
+    lacking = [name for name in infos if name in annotated and not any(folders[name].glob("*.jpg"))]
     if not lacking:
         yield image_root
         return

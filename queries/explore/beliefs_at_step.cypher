@@ -1,9 +1,12 @@
-// Attributes and relations that an agent believed in one question after a given step, each with its frame.
+// Attributes and relations that the readings of a question affirm after a given step, each with its frame.
+// The weight is the sum of the weights of the readings of the frame, in log-odds.
 // param run: text
 // param question: text
-// param step: integer
-MATCH (e:Episode)-[:Holds]->(n:Entity)-[r:Has|:Related]->(o:Observation:Entity)
-WHERE e.id = concat($run, '/', $question) AND r.step <= $step AND r.until > $step
-RETURN n.name AS entity, r.name AS name, CASE label(r) WHEN 'Has' THEN r.value ELSE o.name END AS value,
-       CASE WHEN r.last >= 10000000 THEN NULL ELSE r.first END AS frame, r.step AS since
-ORDER BY frame, since, entity, name, value;
+// param step: integer = 10000000
+MATCH (e:Episode)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Look:Entity)
+WHERE e.id = concat($run, '/', $question) AND r.origin = 'model' AND r.step <= $step
+WITH n.name AS entity, r.name AS name, CASE label(r) WHEN 'Has' THEN r.value ELSE m.name END AS value, r.frame AS frame,
+     min(r.step) AS since, sum(r.weight) AS weight
+WHERE weight > 0
+RETURN entity, name, value, frame, since, round(weight, 4) AS weight
+ORDER BY frame, since, weight, entity, name, value;

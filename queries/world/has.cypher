@@ -8,4 +8,4 @@ WHERE n.number = r.source_number
 MATCH (o:Look {episode_hash: UUID($hash)})
 WITH r, n, o
 WHERE o.number = r.target_number
-CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, frame: r.frame, topic: r.topic, name: r.name, value: r.value, weight: r.weight, exclusive: r.exclusive, origin: r.origin}]->(o)
+CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, frame: r.frame, topic: r.topic, name: r.name, value: r.value, log_odds: r.log_odds, weight: r.weight, exclusive: r.exclusive, origin: r.origin}]->(o)

@@ -8,4 +8,4 @@ WHERE n.number = r.source_number
 MATCH (m:Entity {episode_hash: UUID($hash)})
 WITH r, n, m
 WHERE m.number = r.target_number
-CREATE (n)-[:Related {episode: $episode, write: r.write, step: r.step, frame: r.frame, name: r.name, weight: r.weight, look: r.look, origin: r.origin}]->(m)
+CREATE (n)-[:Related {episode: $episode, write: r.write, step: r.step, frame: r.frame, name: r.name, log_odds: r.log_odds, weight: r.weight, look: r.look, origin: r.origin}]->(m)

@@ -8,4 +8,4 @@ WHERE n.number = r.source_number
 MATCH (o:Look {episode_hash: UUID($hash)})
 WITH r, n, o
 WHERE o.number = r.target_number
-CREATE (n)-[:Sighted {episode: $episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, whole: r.whole, metres: r.metres}]->(o)
+CREATE (n)-[:Sighted {episode: $episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, whole: r.whole, number: r.number, metres: r.metres}]->(o)

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import asdict, dataclass, field
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from jrdb_avr.agent.simulated.people import Person
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.queries.manifest import Manifest
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.labels import INTERACTIONS
@@ -20,7 +21,7 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import LoadRules, rules_hash
-from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS
 from jrdb_avr.schema.wording.text import question_id, render
 
 SEQUENCE = "painted"
@@ -69,7 +70,7 @@ class World:
 
     def __post_init__(self):
         folder = self.root / SEQUENCE
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         self.info = SequenceInfo(SEQUENCE, self.fps, self.frames[-1] + 1, tuple(self.frames))
         observer = Observer(self.root, [self.info])
 
@@ -94,7 +95,6 @@ class World:
 
     def people(self, sequence, frame):
         """What the simulated model reads of a frame, as `Sight` does."""
-        assert sequence == SEQUENCE, sequence
         return [person for actor in self.actors if (person := actor.at(frame)) is not None]
 
     @property
@@ -135,11 +135,44 @@ def write_public(store, questions, frames):
     store.write_questions("sequences", pa.Table.from_pylist(rows, QUESTIONS["sequences"]), {})
 
 
-def write_store(path, image_root, questions=(*QUESTIONS_ASKED, BLIND)):
-    """A store with the public files alone."""
+EMPTY = {"string": "", "bool": False}
+
+
+def table_of(schema, rows):
+    """A table of rows that name the columns that matter."""
+    plain = {field.name: None if field.nullable else EMPTY.get(str(field.type), 0) for field in schema}
+    return pa.Table.from_pylist([plain | row for row in rows], schema)
+
+
+def write_annotations(store, actors, sequence=SEQUENCE, frames=FRAMES):
+    """The tables that the simulated model reads; returns the manifest's entry."""
+    layers = ("2d", "actions", "interactions", "handles")
+    people = [(frame, one) for frame in frames for actor in actors if (one := actor.at(frame)) is not None]
+    frames = [{"layer": layer, "frame": frame} for layer in layers for frame in frames]
+    listed = dict.fromkeys(("listed", "interactions_listed", "handles_listed"), True)
+    sightings = [
+        {"frame": frame, "track": one.track, "distance": one.metres, **one.box._asdict(), **listed}
+        for frame, one in people
+    ]
+    actions = [
+        {"frame": frame, "track": one.track, "action": label}
+        for frame, one in people
+        for name in ("pose", "action")
+        for label in one.labels.get(name, ())
+    ]
+    for name, rows in {"frames": frames, "actions": actions, "interactions": (), "handles": ()}.items():
+        store.write_annotation(name, sequence, table_of(ANNOTATIONS[name], rows))
+    for name, rows in {"sightings": sightings, "objects": (), "demographics": ()}.items():
+        store.write_interval(name, sequence, table_of(INTERVALS[name], rows))
+    return SequenceEntry(layers, {})
+
+
+def write_store(path, image_root, questions=(*QUESTIONS_ASKED, BLIND), names=(SEQUENCE,)):
+    """A store with the public files, and sequences of these names with the annotations of the questions' world."""
     store = Store(path)
     rules = LoadRules()
-    store.write_manifest(Manifest(str(image_root), rules, rules_hash(rules), {}, {}))
+    entries = {name: write_annotations(store, asked_actors(), name) for name in names}
+    store.write_manifest(Manifest(str(image_root), rules, rules_hash(rules), entries, {}))
     write_public(store, questions, {SEQUENCE: FRAMES, "unseen": FRAMES})
     return store
 
@@ -150,14 +183,28 @@ def asked_world(once):
     return once("asked", make_asked_world)
 
 
-def asked_people(root):
-    """The world of the questions: one person who changes, and one who does not."""
+def asked_actors():
+    """The people of the questions' world: one who changes, and one who does not."""
 
     def labels(frame):
         return {"pose": "standing" if frame < 60 else "sitting" if frame < 120 else "lying"}
 
     changing = Actor(7, lambda frame: Box(*box_at(frame)), labels, 4.0)
-    return World(root, [changing, still(900, 8, pose="walking")], FRAMES)
+    return [changing, still(900, 8, pose="walking")]
+
+
+def asked_people(root):
+    """The world of the questions."""
+    return World(root, asked_actors(), FRAMES)
+
+
+def asked_sight():
+    """What the simulated model reads of the questions' world, under any name."""
+
+    def people(sequence, frame):
+        return [person for actor in asked_actors() if (person := actor.at(frame)) is not None]
+
+    return SimpleNamespace(people=people, sequences=EveryQuestion())
 
 
 def make_asked_world(root):

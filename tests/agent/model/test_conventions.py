@@ -34,7 +34,7 @@ CONTRACTS = ("contract", {"bbox": "xyxy"}, None)
         ("Qwen/Qwen3.5-4B", QWEN_35),
         ("Qwen/Qwen3.5-9B", QWEN_35),
         ("qwen3.5:9b", QWEN_35),
-        ("marker", CONTRACTS),
+        ("simulated", CONTRACTS),
         ("google/gemma-3-4b-it", CONTRACTS),
         ("google/gemma-4.5-E2B", CONTRACTS),
         ("Qwen/Qwen3-4B", CONTRACTS),

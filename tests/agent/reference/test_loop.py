@@ -103,7 +103,8 @@ def test_the_graph_supports_what_was_written(world):
     assert (shown["supported"]["answer"], shown["supported"]["entity"]) == (2, "p1")
     told = game.prediction
     assert (told.status, told.answer, told.reason) == ("answered", Choice(2), "")
-    assert (told.evidence.frame, told.verdict != "guess") == (150, True)
+    # The rest of the frame was not searched.
+    assert (told.evidence.frame, told.verdict) == (150, "supported")
     assert (told.n_model_calls, told.n_observations) == (4, 1)
 
 
@@ -174,6 +175,22 @@ def test_people_are_refused_one_at_a_time(world):
         assert text in result
     assert [write.accepted for write in game.writes if write.tool == "add_people"].count(False) >= 4
     assert "p1" in world_of(game)["people"] and "p3" not in world_of(game)["people"]
+
+
+def test_a_person_has_one_box_in_a_picture(world):
+    game = play([PLAN, turn(look()), writes(WOMAN), turn(look(155)), writes(WOMAN, MAN), "x"], world=world)
+    result = results_of(text_of(game.requests[5]))[0]
+    assert result == "add_people: o1: p2 written; refused: p1 already has a box in o1"
+    assert world_of(game)["people"] == {"p1": "female, 000150 at 165", "p2": "male, 000150 at 188"}
+
+
+def test_a_refused_person_keeps_its_number(world):
+    """A relation to a refused person is no relation to the next person of the picture."""
+    talking = person("p1", gender="female", **{"relation conversation": ["p2"]})
+    refused, other = person("p2", RIGHT_BOX, gender="woman"), person("p3", RIGHT_BOX, gender="male")
+    game = play([PAIR, turn(look()), writes(talking, refused), writes(other), "x"], world=world)
+    facts = [json.loads(write.fact) for write in game.writes if write.tool == "add_people" and write.accepted]
+    assert [fact["sighted"][0]["number"] for fact in facts] == [1, 3]
 
 
 UNGROUNDED = [

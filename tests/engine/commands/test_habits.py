@@ -69,7 +69,10 @@ def test_alone_it_says_what_comes_next(here, monkeypatch):
         (("cypher", "MATCH ()-[r:Perform]->() RETURN r"), "Performs"),
         (("sql", "SELECT * FROM question"), "questions"),
         (("observe", "sample-plaza-01", "15", "180", "--out", "x.png"), "sample-plaza-01_0"),
-        (("evaluate", "--method", "react", "--model", "marker", "--images", ".", "--template", "spam"), "span"),
+        (
+            ("evaluate", "--method", "react", "--model", "simulated:perfect", "--images", ".", "--template", "spam"),
+            "span",
+        ),
     ],
 )
 def test_the_nearest_name_is_told(sample_benchmark, here, monkeypatch, arguments, near):

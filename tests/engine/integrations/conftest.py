@@ -7,6 +7,7 @@ import pytest
 from fake_server import recorded_server
 from question_files import all_evidence
 
+from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.queries.store import Store
 
 PLAYED = ("status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"), "reason", "verdict")
@@ -14,16 +15,18 @@ COUNTED = ("n_observations", "n_model_calls")
 
 
 @pytest.fixture(scope="module")
-def model():
+def model(small_demo):
     """The address of a simulated model, and the bodies of all requests."""
-    with recorded_server() as recorded:
+    with recorded_server(Sight(Store(small_demo.folder / "store"))) as recorded:
         yield recorded
 
 
 @pytest.fixture(scope="session")
 def by_evaluate(small_demo):
     """Predictions of ReAct with the simulated model, by `evaluate`: {question id: row}."""
-    rows = pq.read_table(small_demo.folder / "store" / "runs" / "react-marker" / "predictions.parquet").to_pylist()
+    rows = pq.read_table(
+        small_demo.folder / "store" / "runs" / "react-simulated-perfect" / "predictions.parquet"
+    ).to_pylist()
     assert len(rows) == 6 and {row["status"] for row in rows} == {"answered"}
     return {row["question_id"]: row for row in rows}
 

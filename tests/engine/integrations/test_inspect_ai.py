@@ -21,7 +21,7 @@ def run(model, tmp_path, monkeypatch):
     monkeypatch.setenv("SIMULATED_API_KEY", "none")
 
     def run(task, own=None, **options):
-        own = own or get_model("openai-api/simulated/marker", base_url=model[0])
+        own = own or get_model("openai-api/simulated/perfect", base_url=model[0])
         options = {"log_dir": str(tmp_path / "logs"), "display": "none", **options}
         (log,) = inspect_ai.eval(task, model=own, **options)
         assert log.status == "success", log.error

@@ -123,7 +123,7 @@ def test_directions_are_compared_with_the_papers():
 
 def test_settings_of_one_model_are_told_apart():
     benchmark = Benchmark([("a", "s1", "long_range")])
-    noise = {"marker": {"wrong_box": 0.1}, "temperature": 0, "endpoint": {"base_url": "http://one"}}
+    noise = {"simulated": {"wrong_box": 0.1}, "temperature": 0, "endpoint": {"base_url": "http://one"}}
     plain = {"temperature": 0, "endpoint": {"base_url": "http://two"}}
     runs = []
     for name, settings in (("noisy", noise), ("plain", plain)):
@@ -131,13 +131,15 @@ def test_settings_of_one_model_are_told_apart():
             run = benchmark.run([(1, BOX, 7)], f"{name}-{method}", method)
             run.manifest = msgspec.structs.replace(run.manifest, settings=settings)
             runs.append(run)
-    assert [row["setting"] for row in main_rows(benchmark.index, runs, 0.5)] == ["marker: wrong_box 0.1"] * 2 + [""] * 2
+    assert [row["setting"] for row in main_rows(benchmark.index, runs, 0.5)] == ["simulated: wrong_box 0.1"] * 2 + [
+        ""
+    ] * 2
     # The cells of one setting stand together.
     assert [(row["setting"], row["world_model"], row["active"]) for row in ablation_rows(runs)] == [
         ("", "on", "off"),
         ("", "on", "on"),
-        ("marker: wrong_box 0.1", "on", "off"),
-        ("marker: wrong_box 0.1", "on", "on"),
+        ("simulated: wrong_box 0.1", "on", "off"),
+        ("simulated: wrong_box 0.1", "on", "on"),
     ]
     assert main_rows(benchmark.index, runs[:2], 0.5)[0]["setting"] == ""
 

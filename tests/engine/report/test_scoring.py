@@ -372,7 +372,7 @@ def test_set_wise_equals_row_by_row(world, threshold):
 
 def row_of(rows, predicted, synthetic=False):
     truth, names = truth_of(rows), [row[0] for row in rows]
-    manifest = RunManifest("r", "react", "marker", "0", tuple(names), synthetic, {}, "2020-01-01T00:00:00Z")
+    manifest = RunManifest("r", "react", "simulated", "0", tuple(names), synthetic, {}, "2020-01-01T00:00:00Z")
     table = predictions_of(predicted)
     texts = {name: pa.array(names, pa.string()) for name in ("question_id", "sequence", "answer_mode")}
     kinds = {"family": ["chain_2hop"] * len(names), "template": ["two_hop"] * len(names)}

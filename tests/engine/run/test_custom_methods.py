@@ -97,10 +97,10 @@ def test_names_of_ones_own_are_told_from_the_built_in_ones():
 
 
 def test_options_that_contradict_are_a_usage_error(store):
-    for method, model in (("react", "none"), ("reacts", "marker"), ("a.py:", "none")):
+    for method, model in (("react", "none"), ("reacts", "simulated"), ("a.py:", "none")):
         code, _, err = run("evaluate", "--store", store.path, "--method", method, "--model", model)
         assert (code, "Traceback" in err) == (2, False)
-    ask = ("--method", "react", "--model", "m", "--base-url", "http://localhost:1/v1", "--marker", "wrong_box=0")
+    ask = ("--method", "react", "--model", "m", "--base-url", "http://localhost:1/v1", "--simulate", "wrong_box=0")
     assert run("evaluate", "--store", store.path, *ask)[0] == 2, "given at all, whatever its value"
 
 

@@ -40,14 +40,14 @@ def evaluate(store, *options, ok=True):
     """The command in this process; `options` may replace the model."""
     base = ["--store", str(store.path), "--method", "react"]
     if "--model" not in options:
-        base += ["--model", "marker"]
+        base += ["--model", "simulated:perfect"]
     result = CliRunner().invoke(command, [*base, *options])
     if ok:
         assert result.exception is None, result.output
     return result
 
 
-def predictions(store, run_id="react-marker"):
+def predictions(store, run_id="react-simulated-perfect"):
     return pq.read_table(store.run_path(run_id) / "predictions.parquet")
 
 
@@ -59,10 +59,10 @@ def lasting(table):
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
-def test_evaluate_with_the_marker(store):
+def test_evaluate_with_the_simulated_model(store):
     result = evaluate(store, "--json")
     (row,) = json.loads(result.stdout)
-    assert (row["run_id"], row["n"], row["answered"], row["error"]) == ("react-marker", 12, 12, 0)
+    assert (row["run_id"], row["n"], row["answered"], row["error"]) == ("react-simulated-perfect", 12, 12, 0)
     assert "1 of 13 questions are left out: 1 sequences have no panoramas (unseen)" in result.stderr
 
     table = predictions(store)
@@ -73,11 +73,10 @@ def test_evaluate_with_the_marker(store):
     for row in table.to_pylist():
         t1 = int(asked[row["question_id"]].question.rpartition("(frame ")[2].partition(")")[0])
         assert json.loads(row["answer"]) == {"choice": POSES.index("sitting" if t1 < 120 else "lying") + 1}
-        assert row["evidence_frame"] == t1
-        assert abs((row["evidence_x"] - (3650 + t1 * 0.5) + 1880) % 3760 - 1880) < 2
+        assert abs((row["evidence_x"] - (3650 + row["evidence_frame"] * 0.5) + 1880) % 3760 - 1880) < 2
         assert row["n_model_calls"] == row["n_observations"] + 1
 
-    steps = pq.read_table(store.run_path("react-marker") / "steps.parquet")
+    steps = pq.read_table(store.run_path("react-simulated-perfect") / "steps.parquet")
     assert steps.schema.equals(RUNS["steps"])
     order = list(zip(steps["question_id"].to_pylist(), steps["step"].to_pylist(), strict=True))
     assert order == sorted(order)
@@ -85,12 +84,12 @@ def test_evaluate_with_the_marker(store):
     counted = duckdb.sql("select count(*) from steps where kind = 'model'").fetchall()[0][0]
     assert counted == sum(table["n_model_calls"].to_pylist())
 
-    manifest = json.loads((store.run_path("react-marker") / "run.json").read_bytes())
+    manifest = json.loads((store.run_path("react-simulated-perfect") / "run.json").read_bytes())
     assert manifest["synthetic"] is True
     assert manifest["question_ids"] == [q.question_id for q in QUESTIONS_ASKED]
     assert manifest["settings"]["method"]["budget"] == 24
     assert manifest["settings"]["endpoint"]["temperature"] == 0
-    assert manifest["settings"]["served_model"] == "marker"
+    assert manifest["settings"]["served_model"] == "simulated:perfect"
 
 
 def test_predictions_do_not_depend_on_concurrency(store):
@@ -147,9 +146,13 @@ def test_default_run_ids_are_names():
 
 @pytest.mark.slow
 def test_epochs_are_runs_of_their_own(store):
-    options = ("--epochs", "3", "--limit", "4", "--marker", "wrong_attribute=0.6", "--json")
+    options = ("--epochs", "3", "--limit", "4", "--simulate", "wrong=0.6", "--json")
     rows = json.loads(evaluate(store, *options).stdout)
-    assert [row["run_id"] for row in rows] == ["react-marker-1", "react-marker-2", "react-marker-3"]
+    assert [row["run_id"] for row in rows] == [
+        "react-simulated-perfect-1",
+        "react-simulated-perfect-2",
+        "react-simulated-perfect-3",
+    ]
     answers = [predictions(store, row["run_id"])["answer"].to_pylist() for row in rows]
     assert len({tuple(own) for own in answers}) > 1, "the simulated model draws anew"
     manifests = [json.loads((store.run_path(row["run_id"]) / "run.json").read_bytes()) for row in rows]
@@ -164,7 +167,7 @@ def test_a_matrix_is_several_runs(store, tmp_path):
         """
         [[run]]
         method = ["react", "monolithic"]
-        model = ["marker", "simulated:noisy"]
+        model = ["simulated:perfect", "simulated:independent"]
         [[run]]
         model = "fake"
         base-url = "URL"
@@ -182,10 +185,10 @@ def test_a_matrix_is_several_runs(store, tmp_path):
         assert result.exception is None, result.output
     rows = json.loads(result.stdout)
     assert [(row["run_id"], row["n"]) for row in rows] == [
-        ("react-marker", 3),
-        ("react-simulated-noisy", 3),
-        ("monolithic-marker", 3),
-        ("monolithic-simulated-noisy", 3),
+        ("react-simulated-perfect", 3),
+        ("react-simulated-independent", 3),
+        ("monolithic-simulated-perfect", 3),
+        ("monolithic-simulated-independent", 3),
         ("mine", 1),
     ]
     endpoint = json.loads((store.run_path("mine") / "run.json").read_bytes())["settings"]["endpoint"]
@@ -195,11 +198,13 @@ def test_a_matrix_is_several_runs(store, tmp_path):
 
 def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
     matrix = tmp_path / "runs.toml"
-    matrix.write_text('[[run]]\nmodel = "x"\nbase-url = "http://127.0.0.1:9/v1"\n[[run]]\nmodel = "marker"\n')
+    matrix.write_text(
+        '[[run]]\nmodel = "x"\nbase-url = "http://127.0.0.1:9/v1"\n[[run]]\nmodel = "simulated:perfect"\n'
+    )
     options = ("--store", str(store.path), "--matrix", str(matrix), "--method", "react", "--limit", "1", "--json")
     result = CliRunner().invoke(command, options)
     assert result.exit_code == 1
-    assert [row["run_id"] for row in json.loads(result.stdout)] == ["react-marker"]
+    assert [row["run_id"] for row in json.loads(result.stdout)] == ["react-simulated-perfect"]
     assert "react, x: " in result.stderr and "cannot reach the server" in result.stderr
 
 
@@ -209,18 +214,18 @@ def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
         ("[", "cannot read"),
         ("", "holds no run"),
         ("run = 3", "holds no run"),
-        ("[[run]]\nmodel = 'marker'\nhistory = [4, 8]", "two runs are named react-marker"),
+        ("[[run]]\nmodel = 'simulated:perfect'\nhistory = [4, 8]", "two runs are named react-simulated-perfect"),
         ("[[run]]\nmodell = 'marker'", "run 1: no option 'modell': did you mean model?"),
         ("[[run]]\nstore = 'other'", "run 1: no option 'store'"),
         ("[[run]]\n-s = 'other'", "run 1: no option '-s'"),
         ("[[run]]\nmodel = []", "run 1: the list of model is empty"),
-        ("[[run]]\nmodel = 'marker'\nlimit = true", "run 1: limit cannot be true or false"),
+        ("[[run]]\nmodel = 'simulated:perfect'\nlimit = true", "run 1: limit cannot be true or false"),
         ("[[run]]\nmodel = {a = 1}", "run 1: model cannot be a table"),
-        ("[[run]]\nmodel = 'marker'\n[[run]]\nlimit = 'many'", "run 2: Invalid value for '--limit'"),
+        ("[[run]]\nmodel = 'simulated:perfect'\n[[run]]\nlimit = 'many'", "run 2: Invalid value for '--limit'"),
         ("[[run]]\nmodel = 'x'", "needs --base-url"),
         ("[[run]]\nmethod = 'react'", "Missing option '--model'"),
-        ("[[run]]\nmodel = 'marker'\nmax-cost = 3", "--prices"),
-        ("[[run]]\nmodel = 'marker'\nextra-body = {n = 3}", "run 1: --extra-body must not hold 'n'"),
+        ("[[run]]\nmodel = 'simulated:perfect'\nmax-cost = 3", "--prices"),
+        ("[[run]]\nmodel = 'simulated:perfect'\nextra-body = {n = 3}", "run 1: --extra-body must not hold 'n'"),
     ],
 )
 def test_a_matrix_that_cannot_be_run_starts_nothing(store, tmp_path, text, words):
@@ -361,10 +366,10 @@ def test_answers_without_a_manifest_are_nobodys(store):
 
 def test_a_copied_run_is_not_the_run(store):
     evaluate(store, "--limit", "1")
-    shutil.copytree(store.run_path("react-marker"), store.run_path("copy"))
+    shutil.copytree(store.run_path("react-simulated-perfect"), store.run_path("copy"))
     result = evaluate(store, "--run-id", "copy", "--resume", ok=False)
     assert isinstance(result.exception, StoreError)
-    assert "'react-marker'" in str(result.exception)
+    assert "'react-simulated-perfect'" in str(result.exception)
 
 
 @pytest.mark.parametrize(

@@ -243,7 +243,7 @@ def test_what_another_process_writes_is_refused_by_name(store):
         write_public(store, ASKED, {"yard-1_0": (0, 15)})
         (store.path / "images" / "yard-1_0").mkdir(parents=True)
         (store.path / "images" / "yard-1_0" / "000000.jpg").write_bytes(b"")
-        evaluate = ["evaluate", "--method", "agent", "--model", "marker"]
+        evaluate = ["evaluate", "--method", "agent", "--model", "simulated:perfect"]
         evaluate += ["--store", store.path, "--images", store.path / "images"]
         for arguments, told in (
             (["cypher", "MATCH (e:Episode) RETURN count(*)", "--store", store.path], "wait for it"),

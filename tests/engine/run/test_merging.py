@@ -6,7 +6,8 @@ from operator import attrgetter
 
 import pyarrow.parquet as pq
 import pytest
-from painted import FRAMES, SEQUENCE, question, write_answers, write_public, write_store
+from fake_server import recorded_server
+from painted import FRAMES, SEQUENCE, asked_sight, question, write_answers, write_public, write_store
 from processes import run
 
 from jrdb_avr.engine.run.merging import merge_runs
@@ -27,7 +28,7 @@ def stores(asked_world, tmp_path):
     images = tmp_path / "images"
     for name in NAMES:
         shutil.copytree(asked_world / "images" / SEQUENCE, images / name)
-    made = write_store(tmp_path / "whole", images, ASKED)
+    made = write_store(tmp_path / "whole", images, ASKED, NAMES)
     write_public(made, ASKED, dict.fromkeys(NAMES, FRAMES))
     with build_graph(made.graph_path) as graph:
         make_world_tables(graph)
@@ -38,7 +39,7 @@ def stores(asked_world, tmp_path):
 
 
 def evaluate(store, *options):
-    code, out, err = run("evaluate", "--store", store.path, "--model", "marker", "--json", *options)
+    code, out, err = run("evaluate", "--store", store.path, "--model", "simulated:perfect", "--json", *options)
     assert code == 0, err
     return json.loads(out)[0]
 
@@ -110,8 +111,8 @@ def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
 
     assert "differ in the request settings" in refusal("--max-tokens", "99")
     assert "differ in the method settings" in refusal("--history", "3")
-    assert "differ in the marker" in refusal("--marker", "seed=3", "--marker", "wrong_box=0.1")
-    assert "differ in the model" in refusal("--model", "simulated:noisy")
+    assert "differ in the simulated" in refusal("--simulate", "seed=3", "--simulate", "wrong_box=0.1")
+    assert "differ in the model" in refusal("--model", "simulated:independent")
     assert "differ in the method" in refusal("--method", "monolithic")
     assert "differ in the selection" in refusal("--limit", "3")
     evaluate(whole, "--method", "react", "--run-id", "r", "--shard", "2/3")
@@ -130,7 +131,8 @@ def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
 def test_shards_and_bundles_of_an_opaque_public_store_fit_the_full_store(stores, tmp_path):
     whole, public = stores["whole"], Store(tmp_path / "public")
     assert run("export", "--store", whole.path, "--public", public.path, "--opaque")[0] == 0
-    shard([public, public], whole, "--limit", "5")
+    with recorded_server(asked_sight()) as (url, _):
+        shard([public, public], whole, "--limit", "5", "--base-url", url)
     code, _, err = run("runs", "merge", "r-1of2", "r-2of2", "--run-id", "r", "--store", whole.path)
     assert code == 0 and "5 predictions (" in err, err
     size = len(read_run_manifest(public, "r-1of2").question_ids)

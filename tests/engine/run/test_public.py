@@ -17,10 +17,11 @@ from environment import ROOT
 from painted import SEQUENCE
 from processes import run
 
-from jrdb_avr.agent.simulated.knobs import PROFILES
-from jrdb_avr.agent.simulated.server import marker_server
-from jrdb_avr.queries.opaque import opaque_names
+from jrdb_avr.agent.simulated.profiles import PERFECT
+from jrdb_avr.agent.simulated.server import simulated_server
+from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.engine.run.public import export_public, strip_metadata
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -131,15 +132,26 @@ def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
         assert "a public store has no labels" in refusal("load", option, "--store", made)
     assert sorted(made.rglob("*")) == before
     (question,) = full.questions("questions")["question_id"].to_pylist()[:1]
-    method = ("--method", "react", "--model", "marker", "--questions", question, "--run-id", "own", "--no-scores")
-    code, _, err = run("evaluate", "--store", made, *method)
+    method = (
+        "--method",
+        "react",
+        "--model",
+        "simulated:perfect",
+        "--questions",
+        question,
+        "--run-id",
+        "own",
+        "--no-scores",
+    )
+    assert "has no annotations" in refusal("evaluate", "--store", made, *method)
+    with simulated_server(Sight(full), PERFECT) as url:
+        code, _, err = run("evaluate", "--store", made, *method, "--base-url", url)
     assert code == 0 and f"next: jrdb-avr export own --jsonl own.jsonl --store {made}\n" in err
     for command in (["score", "own"], ["score"], ["report"], ["stats"], ["trace", "own", question]):
         assert "a public store has no answers" in refusal(*command, "--store", made)
-    base = ("evaluate", "--store", made, "--method", "react", "--model", "marker")
+    base = ("evaluate", "--store", made, "--method", "react", "--model", "simulated:perfect")
     for options in (["--family", "long_range"], ["--template", "gap"], ["--per-template", "1"]):
         assert "a public store have no" in refusal(*base, *options)
-    assert "--world-db" in refusal(*base[:-3], "agent", *base[-2:])
 
 
 @pytest.mark.slow
@@ -148,11 +160,11 @@ def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
 def test_another_user_evaluates_on_a_public_store(full, small_demo, opaque):
     program = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()"]
     user = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups"]
-    method = ("--method", "react", "--model", "simulated:noisy", "--limit", "8", "--no-scores")
+    method = ("--method", "react", "--model", "simulated:independent", "--limit", "8", "--no-scores")
     hidden = ["--opaque"] if opaque else []
     assert run("evaluate", "--store", full.path, "--run-id", "own", *method, *hidden)[0] == 0
     # The server is of this user: the other one needs nothing but its address.
-    with tempfile.TemporaryDirectory() as folder, marker_server(None, PROFILES["noisy"]) as url:
+    with tempfile.TemporaryDirectory() as folder, simulated_server(Sight(full), None) as url:
         place = Path(folder)
         place.chmod(0o755)
         export_public(full, place / "public", opaque)

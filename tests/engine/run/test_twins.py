@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from fake_server import recorded_server
-from painted import QUESTIONS_ASKED, write_answers
+from painted import QUESTIONS_ASKED, asked_sight, write_answers
 from sources import ROOT
 
 from jrdb_avr.engine.commands.evaluate import command
@@ -36,9 +36,8 @@ def twins(store):
 @pytest.mark.parametrize("method", ["monolithic", "chain-of-thought", "search-recognize", "react", "agent"])
 def test_every_request_asks_one_question(twins, method, tmp_path):
     texts = [own.question for own in TWINS]
-    with recorded_server() as (url, sent):
-        options = ["--store", str(twins.path), "--method", method, "--model", "marker", "--base-url", url]
-        options += ["--world-db", str(tmp_path / "world.kuzu")] if method == "agent" else []
+    with recorded_server(asked_sight()) as (url, sent):
+        options = ["--store", str(twins.path), "--method", method, "--model", "simulated:perfect", "--base-url", url]
         names = ",".join(own.question_id for own in TWINS)
         result = CliRunner().invoke(command, [*options, "--questions", names, "--concurrency", "1"])
     assert result.exception is None, result.output
