@@ -119,6 +119,7 @@ def _bbox(look: Look, box: Box) -> dict[str, Any]:
 def _react(request: Request) -> Reply:
     """Play a turn of ReAct: the next look, or the answer with the person's box in the newest picture."""
     thought, left = Thought(request), request.left("Looks made: ")
+    request.legal()
     # The last look is for the box, which must be in the newest picture.
     look = thought.next_look(left - 1)
     if look is not None:

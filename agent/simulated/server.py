@@ -131,8 +131,7 @@ class Server(ThreadingHTTPServer):
 
 def _completion(request: _Request, content: str, calls: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
-    images = sum(part.image_url is not None for part in parts)
-    prompt_tokens = sum(len(part.text) for part in parts) // 4 + images * _IMAGE_TOKENS
+    prompt_tokens = sum(_IMAGE_TOKENS if part.image_url else len(part.text) // 4 for part in parts)
     completion_tokens = len(content) // 4
     tokens = {"prompt_tokens": prompt_tokens, "completion_tokens": completion_tokens}
     finish, called = ("tool_calls", {"content": None, "tool_calls": calls}) if calls else ("stop", {"content": content})
