@@ -186,6 +186,9 @@ def test_the_true_box_is_in_no_request():
     assert len({drawn.box for drawn in pictures}) == 10
     sent = [part for drawn in pictures for message in request(drawn) for part in message.parts]
     assert len({part for part in sent if isinstance(part, str)}) == 2
+    wired = [wire(request(drawn), simulated)[0]["content"] for drawn in pictures for simulated in (False, True)]
+    said = [part for parts in wired for part in parts if "jrdb_avr" in part]
+    assert [part["jrdb_avr"]["rectangle"] for part in said] == [drawn.box for drawn in pictures]
     assert [drawn.picture.name for drawn in pictures[:2]] == ["drawn 000 480x480", "drawn 001 3760x480"]
 
 

@@ -8,20 +8,22 @@ import pytest
 from fake_server import FakeServer, completion, images, sound, texts
 from test_calibrate import writer
 
-from jrdb_avr.agent.model.calibrate import calibrate
+from jrdb_avr.agent.model.calibrate import Calibration, calibrate
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.labelled_people import PERSON_LINE, PersonView, find_errors, request_labels
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.engine.run import evaluate as evaluating
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, write_calibration
 from jrdb_avr.engine.run.labelled_people import labelled_people
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import CROP, Box
-from jrdb_avr.schema.repeats import USUAL_REPEATS
+from jrdb_avr.schema.repeats import USUAL_REPEATS, ErrorCorrelation, Repeats
 from jrdb_avr.schema.rules import LoadRules
 
 TRUE = {"gender": "female", "age": "young adulthood", "pose": "standing"}
@@ -100,6 +102,23 @@ def test_the_weights_of_a_model_are_measured_stored_and_taken_by_later_runs(tmp_
     with FakeServer(sound(writer(), model="fake-1")) as server:
         assert calibrate(Client(server.url, "fake"), 12).repeats == USUAL_REPEATS
         assert Endpoint(None, "fake", server.url).settings["repeats"] == {"frame": 0.05, "person": 0.25}
+
+
+def test_the_world_model_of_a_run_weighs_repeats_as_calibrated(benchmark_copy, monkeypatch):
+    worlds = []
+
+    def stop(method, endpoint, world, options):
+        worlds.append(world.repeats)
+        raise StoreError("stop")
+
+    monkeypatch.setattr(evaluating, "_make", stop)
+    model = {"model": "simulated", "served_model": "simulated", "response_format": "json_schema", "thinking": "off"}
+    unread = {"asked_sha256": "", "asked": 0, "readable": 0, "scores": (), "boxes": {}, "scales": {}}
+    measured = {"frame_errors": ErrorCorrelation(correlation=0.6), "person_errors": ErrorCorrelation(correlation=0.0)}
+    write_calibration(benchmark_copy, Calibration(**model, **unread, **measured))
+    with pytest.raises(StoreError, match="stop"):
+        evaluating.evaluate(benchmark_copy, "agent", "simulated")
+    assert worlds == [Repeats(frame=pytest.approx(0.25), person=1.0)]
 
 
 def test_people_of_a_store_are_shown_with_their_labels(tmp_path):
