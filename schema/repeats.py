@@ -70,11 +70,13 @@ class ErrorCorrelation(msgspec.Struct, frozen=True):
         return usual if r is None else min(max((1 - r) / (1 + r), 0.0), 1.0) if r > -1 else 1.0
 
 
-PersonErrors = Mapping[str, tuple[bool, bool]]
-"""Whether the first and the second reading of a person's label are wrong, by topic."""
+Errors = Sequence[Mapping[str, bool]]
+"""Whether the reading of each label is wrong, by topic, of each person."""
+
+_Pairs = Mapping[str, tuple[bool, bool]]
 
 
-def correlate_errors(people: Sequence[PersonErrors]) -> ErrorCorrelation:
+def correlate_errors(first: Errors, second: Errors) -> ErrorCorrelation:
     """Estimate the correlation of the errors in two readings of one label.
 
     The estimate is the intraclass correlation: the mean product of both deviations from the error rate of the topic,
@@ -82,12 +84,17 @@ def correlate_errors(people: Sequence[PersonErrors]) -> ErrorCorrelation:
     hard topic is no correlation.
 
     Args:
-        people: The errors of each person.
+        first: The errors of the first reading of each person.
+        second: The errors of the second reading of each person. A label counts if both readings have it.
 
     Returns:
         The correlation.
     """
-    people = [person for person in people if person]
+    both = [
+        {topic: (one[topic], two[topic]) for topic in one if topic in two}
+        for one, two in zip(first, second, strict=True)
+    ]
+    people = [person for person in both if person]
     pairs = [pair for person in people for pair in person.values()]
     counts = ErrorCorrelation(len(people), len(pairs), sum(map(sum, pairs)))
     whole = _correlation(people)
@@ -99,7 +106,7 @@ def correlate_errors(people: Sequence[PersonErrors]) -> ErrorCorrelation:
     return msgspec.structs.replace(counts, correlation=round(whole, 4), standard_error=round(math.sqrt(variance), 4))
 
 
-def _correlation(people: Sequence[PersonErrors]) -> float | None:
+def _correlation(people: Sequence[_Pairs]) -> float | None:
     topics: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
     for person in people:
         for topic, pair in person.items():

@@ -1,6 +1,6 @@
 """Find out how a model writes boxes, and how its errors repeat.
 
-The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as the
+The model gets pictures of red rectangles with known boxes. The prompts request boxes in the same words as the
 prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
 model writes boxes, the boxes that result from every reading are compared with the known boxes. A reading is chosen only
 if it explains the replies well, and no other reading explains the replies nearly as well.
@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Final, NamedTuple, get_args
@@ -31,7 +31,8 @@ from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box, iou
-from jrdb_avr.schema.repeats import USUAL_REPEATS, ErrorCorrelation, Repeats, correlate_errors
+from jrdb_avr.schema.repeats import USUAL_REPEATS as _USUAL
+from jrdb_avr.schema.repeats import ErrorCorrelation, Repeats, correlate_errors
 
 PICTURES: Final = 50
 SEED: Final = 0
@@ -100,8 +101,7 @@ class Calibration(msgspec.Struct, frozen=True):
     @property
     def repeats(self) -> Repeats:
         """The weights of repeated readings. A weight that could not be measured is the usual one."""
-        usual = USUAL_REPEATS
-        return Repeats(self.frame_errors.weight(usual.frame), self.person_errors.weight(usual.person))
+        return Repeats(self.frame_errors.weight(_USUAL.frame), self.person_errors.weight(_USUAL.person))
 
     def convention(self, declared: Convention) -> Convention:
         """Return a convention with the calibrated readings.
@@ -155,8 +155,7 @@ def calibrate(
             replies.append(reply)
             advance(1)
     labels = [find_errors(reply, view, client.convention) for reply, view in zip(replies[n:], views, strict=True)]
-    replies = replies[:n]
-    boxes = [_written(reply, drawn, client.convention) for reply, drawn in zip(replies, pictures, strict=True)]
+    boxes = [_written(reply, drawn, client.convention) for reply, drawn in zip(replies[:n], pictures, strict=True)]
     written = [box for box in boxes if box is not None]
     scores, reason = _judge(written, n, client.convention)
     served = list(dict.fromkeys(reply.model for reply in replies))
@@ -166,8 +165,7 @@ def calibrate(
         scores = [msgspec.structs.replace(score, chosen=False) for score in scores]
     chosen = [score for score in scores if score.chosen]
     options = client.options
-    sent = [fingerprint(messages) for messages, _ in requests]
-    whole = [BOX_REPLY_SCHEMA, [options.response_format, options.thinking], sent]
+    whole = [[options.response_format, options.thinking], [(fingerprint(sent), schema) for sent, schema in requests]]
     return Calibration(
         model=client.model,
         served_model=served[0] if served else "",
@@ -180,13 +178,9 @@ def calibrate(
         boxes={score.key: score.order for score in chosen},
         scales={score.key: score.scale for score in chosen},
         reason=reason,
-        frame_errors=correlate_errors([_pairs(*labels[i : i + 2]) for i in range(0, len(labels), 3)]),
-        person_errors=correlate_errors([_pairs(*labels[i : i + 3 : 2]) for i in range(0, len(labels), 3)]),
+        frame_errors=correlate_errors(labels[0::3], labels[1::3]),
+        person_errors=correlate_errors(labels[0::3], labels[2::3]),
     )
-
-
-def _pairs(first: Mapping[str, bool], second: Mapping[str, bool]) -> dict[str, tuple[bool, bool]]:
-    return {topic: (wrong, second[topic]) for topic, wrong in first.items() if topic in second}
 
 
 def request(drawn: DrawnPicture) -> list[Message]:
@@ -198,7 +192,7 @@ def request(drawn: DrawnPicture) -> list[Message]:
     Returns:
         One user message.
     """
-    return [Message("user", (render("calibrate", color=drawn.color, frame_id=FRAME_ID), drawn.picture, BOX_LINE))]
+    return [Message("user", (render("calibrate", frame_id=FRAME_ID), drawn.picture, BOX_LINE))]
 
 
 def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Written | None:
@@ -210,11 +204,7 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
     entry: Any = boxes[0] if isinstance(boxes, list) and len(boxes) == 1 else None
     boxed = [(key, entry[key]) for key in KEYS if isinstance(entry, dict) and key in entry]
     key, numbers = boxed[0] if len(boxed) == 1 else ("", None)
-    if (
-        isinstance(numbers, list)
-        and len(numbers) == 4
-        and all(finite(coordinate) is not None for coordinate in numbers)
-    ):
+    if isinstance(numbers, list) and len(numbers) == 4 and None not in map(finite, numbers):
         return _Written(key, numbers, drawn)
     return None
 

@@ -16,9 +16,8 @@ from jrdb_avr.schema.labels import AGES, GENDERS, POSES, may_be_called
 from jrdb_avr.schema.panorama import CROP, Box
 
 PERSON_LINE: Final = "The person's labels, as one JSON object:"
-_CANNOT_TELL: Final = "cannot tell"
 _LABELS: Final = {"gender": tuple(GENDERS), "age": tuple(AGES), "pose": tuple(POSES)}
-_WORDS: Final = {topic: [*labels, _CANNOT_TELL] for topic, labels in _LABELS.items()}
+_WORDS: Final = {topic: [*labels, "cannot tell"] for topic, labels in _LABELS.items()}
 PERSON_SCHEMA: Final = closed_object({topic: {"type": "string", "enum": words} for topic, words in _WORDS.items()})
 
 
@@ -33,12 +32,8 @@ class PersonView(NamedTuple):
     labels: Mapping[str, str]
 
 
-class LabelledPerson(NamedTuple):
-    """Three crops of a person: two of one frame, a few degrees apart, and one a second later."""
-
-    first: PersonView
-    beside: PersonView
-    later: PersonView
+LabelledPerson = tuple[PersonView, PersonView, PersonView]
+"""Three crops of a person: two of one frame, a few degrees apart, and one a second later."""
 
 
 def request_labels(view: PersonView) -> list[Message]:

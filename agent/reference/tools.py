@@ -44,7 +44,7 @@ def read_people(
         arguments: The arguments of the call.
         views: All observations by name.
         fields: The fields of a person.
-        counts: Number of people that are already written, by observation.
+        counts: Number of people that were listed before, by observation.
         convention: How the model writes boxes.
 
     Returns:
@@ -104,7 +104,7 @@ def read_entity(
     Args:
         arguments: The arguments of the call.
         views: All observations by name.
-        counts: Number of people that are already written, by observation.
+        counts: Number of people that were listed before, by observation.
         convention: How the model writes boxes.
 
     Returns:

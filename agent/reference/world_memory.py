@@ -68,7 +68,7 @@ class WorldMemory:
 
     heading: the lines that begin each user message. advises: whether turns advise looks. fixed: whether each turn shows
     all views, because no look can be made. shown: the views of the next turn: all, or the views about which nothing is
-    written. counts: number of people written per observation. proposed: the newest readable answer of the model.
+    written. counts: number of people listed per observation. proposed: the newest readable answer of the model.
     final_refused: whether a final answer was refused because the graph does not support it.
     """
 
@@ -108,6 +108,7 @@ class WorldMemory:
         Returns:
             The system message and one user message.
         """
+        self.world.begin_turn()
         self.shown += turn.views
         views = view_parts(self.shown)
         parts: list[Part] = [
@@ -221,6 +222,7 @@ class WorldMemory:
         elif call.tool == "add_entity":
             name, person = read_entity(call.arguments, views, self.counts, self.attempt.convention)
             self._add(person.observation, [(name, person)], step)
+            self.counts[person.observation] += 1
             result = "done"
         elif call.tool == "add_attribute":
             entity, observation, label = read_attribute(call.arguments, views, self.fields)
@@ -246,6 +248,8 @@ class WorldMemory:
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
         self._add(observation, people, step)
+        # The number of a refused person is not used again, because relations of other people may name it.
+        self.counts[observation] += len(people) + len(faults)
         refused = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
         return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{refused}"
 
@@ -254,7 +258,6 @@ class WorldMemory:
 
     def _add(self, observation: str, people: Sequence[tuple[str, Any]], step: int) -> None:
         self.world.add_people(observation, people, step)
-        self.counts[observation] += len(people)
         if not self.fixed:
             self.shown = [view for view in self.shown if view.name != observation]
 

@@ -67,6 +67,9 @@ MOST_ENTITIES: Final = 200
 LONGEST_ARGUMENTS: Final = 8_000
 """Maximum number of characters of a call's arguments in the record."""
 
+_DIGITS: Final = 9
+"""Number of decimals of a sum of weights, because the engine adds them in any order."""
+
 _MOST_RANKED: Final = 5
 """Maximum number of bindings that are written together, each with another target."""
 
@@ -350,6 +353,10 @@ class WorldEpisode:
         for write, _ in writes:
             self._record(write)
 
+    def begin_turn(self) -> None:
+        """Count a turn of the model."""
+        self._graph.begin_turn()
+
     # -- reads --------------------------------------------------------------------------------------------------------
 
     def bindings(self) -> tuple[RankedHypothesis, ...]:
@@ -465,13 +472,13 @@ class _Evidence:
         # Rows of replaced slots are left out.
         singles, pairs = ([row for row in rows if row["slot"] in numbered] for rows in (singles, pairs))
         for row in singles:
-            self._votes[row["slot"], row["entity"], ""].append((row["frame"], row["weight"]))
+            self._votes[row["slot"], row["entity"], ""].append((row["frame"], round(row["weight"], _DIGITS)))
         for row in pairs:
             ends = row["source"], row["target"]
             slot = numbered[row["slot"]].row
             symmetric = slot.name in SYMMETRIC and slot.origin == "model"
             for source, target in (ends, ends[::-1]) if symmetric else (ends,):
-                self._votes[row["slot"], source, target].append((row["frame"], row["weight"]))
+                self._votes[row["slot"], source, target].append((row["frame"], round(row["weight"], _DIGITS)))
         self.parts = [slot for slot in slots if slot.part is not None]
         edges = edges_of(plan)
         entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}

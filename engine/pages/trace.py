@@ -48,12 +48,14 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     sequence = str(trace.question["sequence"])
     strip = functools.cache(lambda frame: picture_uri(observer.panorama(sequence, frame), _STRIP))
     roles, plan, decision = entity_roles(trace), plan_of(trace), decision_of(trace)
+    bound = decision.bindings[0].nodes if decision is not None and decision.bindings else {}
+    nodes = [] if plan is None else [node.id for node in plan.nodes]
     evidence = evidence_box(trace)
     unit = unit_of(parse_plan(trace.answer["plan"]))
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
-    answers = [row["answer"] for row in (trace.answer, trace.prediction)]
-    true, predicted = (readable(mode, text, choices, trace.fps, unit) for text in answers)
-    true_choice, own_choice = (_choice(read_answer(mode, text)) for text in answers)
+    answers = trace.answer["answer"], trace.prediction["answer"], trace.prediction["proposed"]
+    true, predicted, proposed = (readable(mode, text, choices, trace.fps, unit) for text in answers)
+    true_choice, own_choice, _ = (_choice(read_answer(mode, text)) for text in answers)
     return render(
         "trace.html",
         trace=trace,
@@ -61,6 +63,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         prediction=trace.prediction,
         choices=[(text, index == true_choice, index == own_choice) for index, text in enumerate(choices, 1)],
         given=predicted,
+        proposed=proposed,
         right=true,
         map=_map(trace, evidence),
         marks=_marks(trace, roles),
@@ -71,10 +74,10 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         roles=roles,
         plan=plan,
         graph=None if plan is None else PlanGraph(plan),
-        node_roles={} if plan is None else {node.id: index % ROLES for index, node in enumerate(plan.nodes)},
+        node_roles={node: roles.get(bound.get(node, ""), index % ROLES) for index, node in enumerate(nodes)},
         decision=decision,
         slots={row.number: row for write in trace.writes for row in write.fact.slots},
-        bound=decision.bindings[0].nodes if decision is not None and decision.bindings else {},
+        bound=bound,
         turns=_turns(trace, observer, strip, roles),
         final=None if evidence is None else _final(trace, *evidence, observer, strip),
         settings=plain_text(msgspec.json.encode(trace.manifest.settings).decode()),

@@ -102,7 +102,6 @@ class Decision(msgspec.Struct):
 
     bindings: list[Binding]
     conclusion: Conclusion | None = None
-    proposed: Any = None
     parts: list[PlanPartRow] = []
     statements: list[StatementRun] = []
 
@@ -296,9 +295,10 @@ def _people(writes: Sequence[Written]) -> list[PersonLine]:
             if has.origin == "model":
                 line(has.source).append(f"{has.name} {has.value} {has.weight:+.1f}")
         for tie in fact.related:
-            arrow = "" if tie.origin == "model" else " (from boxes)"
-            text = f"{tie.name} \N{RIGHTWARDS ARROW} {name_of(tie.target)} {tie.weight:+.1f}{arrow}"
-            line(tie.source).append(text)
+            # What follows from boxes is shown only for people of the turn, and only if it holds.
+            if tie.origin == "model" or (tie.weight > 0 and name_of(tie.source) in people):
+                text = f"{tie.name} \N{RIGHTWARDS ARROW} {name_of(tie.target)} {tie.weight:+.1f}"
+                line(tie.source).append(text if tie.origin == "model" else f"{text} (from boxes)")
     return list(people.values())
 
 

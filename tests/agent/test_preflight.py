@@ -1,8 +1,6 @@
 """Preflight: a server is spoiled in one way at a time, and the one check that is about it fails, with a remedy."""
 
-import contextlib
 import json
-import threading
 
 import pytest
 from click.testing import CliRunner
@@ -13,8 +11,7 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.preflight import CROPS, SENDERS, preflight, require
-from jrdb_avr.agent.simulated.knobs import Knobs
-from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.schema.errors import EndpointError
@@ -383,8 +380,8 @@ def test_a_model_that_loses_count_among_many_crops_is_only_warned_of():
 
 def test_every_method_has_its_largest_request_tried():
     senders = [*SENDERS["panoramas"], *SENDERS["crops"]]
-    # Those for which the program finds the looks send two pictures at most.
-    assert sorted([*senders, "agent", "agent-no-world"]) == sorted([*METHODS, "agent-model", "agent-no-world-model"])
+    # The agent with a world model sends the pictures of one turn at most.
+    assert sorted([*senders, "agent"]) == sorted(METHODS)
 
 
 # -- the command ------------------------------------------------------------------------------------------------------
@@ -429,34 +426,19 @@ def test_a_hostile_server_cannot_move_the_cursor():
     assert "\x1b" not in result.output and "\x9b" not in result.output
 
 
-# -- the marker model -------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def marker(**knobs):
-    server = Server(knobs=Knobs(**knobs))
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
-    try:
-        yield server.url
-    finally:
-        server.shutdown()
-        server.server_close()
+# -- the simulated model ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("knobs", "options", "wrong"),
+    ("options", "wrong"),
     [
-        ({}, {}, []),
-        ({}, {"response_format": "json_object"}, []),
-        ({}, {"response_format": "none"}, []),
-        ({}, {"thinking": "on"}, ["thinking"]),
-        ({"thinking": 1.0}, {}, ["thinking"]),
-        ({"thinking": 1.0}, {"thinking": "on"}, []),
-        ({"thinking": 1.0}, {"thinking": "template"}, []),
-        ({"wrong_box": 1.0, "wrong_attribute": 1.0}, {}, []),
+        ({}, []),
+        ({"response_format": "json_object"}, []),
+        ({"response_format": "none"}, []),
+        ({"thinking": "on"}, ["thinking"]),
     ],
 )
-def test_the_marker_passes_by_what_it_sees(knobs, options, wrong):
-    with marker(**knobs) as url:
-        found = preflight(Client(url, "marker", EndpointOptions(**options)))
+def test_the_simulated_model_passes_by_references(options, wrong):
+    with simulated_server(None, None) as url:
+        found = preflight(Client(url, "simulated", EndpointOptions(simulated=True, **options)))
     assert [check.name for check in found if not check.passed] == wrong

@@ -17,11 +17,11 @@ import limits
 import numpy as np
 from mutate import mutate
 
-from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.reply import thinking_text
+from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.methods import CHATS, METHODS, WORLD_METHODS, make_method
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import AnswerMode

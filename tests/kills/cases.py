@@ -25,7 +25,7 @@ from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RE
 
 COMMAND = (sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()")
 STORE = ("--store", "store")
-REACT = (*split("evaluate --method react --model simulated:noisy --limit 3 --run-id r --concurrency 2"), *STORE)
+REACT = (*split("evaluate --method react --model simulated:independent --limit 3 --run-id r --concurrency 2"), *STORE)
 AGENT = (*split("evaluate --method agent --model simulated --limit 2 --run-id a --concurrency 2"), *STORE)
 PLAY = (*split("play --limit 3 --run-id p"), *STORE)
 FILLED = "is not empty"
@@ -239,7 +239,7 @@ def content(path, graphs):
     if path.parent.name == "journal":
         return lines_of(path)
     match path.name:
-        case ".writing" | "graph.kuzu.lock" | "graph.kuzu.json" | "marker.jsonl":
+        case ".writing" | "graph.kuzu.lock" | "graph.kuzu.json":
             # Processes; the checksum of the graph's bytes, which differ; what the simulated model was sent.
             return ""
         case "graph.kuzu":

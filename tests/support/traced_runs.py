@@ -95,7 +95,6 @@ DECISION = {
         {"nodes": {"a": "p1", "b": PERSON}, "log_odds": 3.5, "margin": 1.5},
         {"nodes": {"a": PERSON, "b": "p1"}, "log_odds": 2.0, "margin": -1.5},
     ],
-    "proposed": {"choice": 1},
     "parts": [{"part": f"a gender male {HOSTILE}", "support": [[2.2, "certain"], [0.0, "open"]]}],
     "statements": [{"name": "slots", "parameters": {"hash": "e"}, "rows": [{"slot": 0, "entity": HOSTILE}]}],
 }
@@ -115,7 +114,7 @@ def decided_run(store, frame):
     plan = Fact(slots=(slot,))
     own = {"number": 6, "step": 0, "tool": "plan", "arguments": json.dumps(PLAN), "accepted": True, "reason": ""}
     rows = [*world_rows(frame), own | {"fact": msgspec.json.encode(plan).decode()}]
-    stored_run(store, "decided", steps=steps, world=rows)
+    stored_run(store, "decided", steps=steps, world=rows, prediction={"proposed": '{"choice":1}'})
 
 
 def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None):

@@ -20,7 +20,7 @@ from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.answers import Choice, Number
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import AnswerSpec, Plan, Time
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 
 FRAMES = range(0, 900)
 
@@ -108,6 +108,7 @@ def test_the_evidence_is_a_whole_box_at_a_frame_of_the_description():
 
 
 ACTION = reading_at(WOMAN, "action", "multiple_choice", 15)
+HOLDS = Condition(object="bag", verb="holding", at="t0")
 OFFERED = ("walking", "standing", "writing", "reading", "holding sth")
 
 
@@ -167,15 +168,20 @@ def test_a_verdict_is_certain_only_if_person_and_answer_are():
         tracks = Tracks({**tracks.people, **others}, tracks.looks)
         return conclude(plan, tracks, rank(plan, tracks), choices, FRAMES).verdict
 
-    stands = read(15, "standing")
-    assert verdict(stands) == "certain"
+    stands, sits = read(15, "standing"), read(15, "sitting")
+    tall = Plan("a", "a", ACTION.times, (Node("a", (*WOMAN.nodes[0].conditions, HOLDS)),), (), ACTION.answer)
+    bag = replace(sits, labels=(*sits.labels, ReadLabel("object", "holding: bag")))
+    assert verdict(bag, plan=tall) == "certain"
+    # The gender alone fits many people, and standing is often read of people who walk.
+    assert verdict(sits) == "supported"
+    assert verdict(replace(bag, labels=(bag.labels[0], *stands.labels[1:], bag.labels[2])), plan=tall) == "supported"
     # Another woman is as likely, and small people are often read wrongly.
-    assert verdict(stands, p2=(read(15, "walking"),)) == "supported"
-    assert verdict(replace(stands, box=stands.box._replace(h=79.0))) == "supported"
+    assert verdict(bag, plan=tall, p2=(bag,)) == "supported"
+    assert verdict(replace(bag, box=bag.box._replace(h=79.0)), plan=tall) == "supported"
     # An open part of the plan, a doubtful answer and an answer that was not read.
     assert verdict(replace(stands, labels=stands.labels[1:])) == "guess"
-    doubt = replace(stands, labels=(stands.labels[0], ReadLabel("action", "standing", True, 0.7)))
-    assert verdict(doubt) == "supported"
+    doubt = replace(bag, labels=(bag.labels[0], ReadLabel("action", "sitting", True, 0.7), bag.labels[2]))
+    assert verdict(doubt, plan=tall) == "supported"
     assert verdict(read(15, "bending")) == "supported" and verdict(read(15)) == "guess"
     man = replace(stands, labels=(ReadLabel("gender", "male"), *stands.labels[1:]))
     assert verdict(man) == "guess"

@@ -843,3 +843,19 @@ def test_whatever_stands_in_a_completion_is_a_reply_or_a_reason(message, finish_
         return
     assert isinstance(reply, Reply)
     assert reply.prompt_tokens >= 0
+
+
+def test_only_requests_of_simulated_runs_say_what_a_picture_shows():
+    picture = Picture("s 000015 45", b"jpeg", {"sequence": "s", "frame": 15, "angle": 45.0})
+    sent = []
+
+    def script(request, n):
+        sent.append(request)
+        return completion("ready")
+
+    with FakeServer(script) as server:
+        for simulated in (False, True):
+            Client(server.url, "m", EndpointOptions(simulated=simulated)).complete([Message("user", ("look", picture))])
+    undeclared, declared = (request["messages"][0]["content"][1] for request in sent)
+    assert undeclared.keys() == {"type", "image_url"} and "jrdb_avr" not in json.dumps(sent[0])
+    assert declared["jrdb_avr"] == {"sequence": "s", "frame": 15, "angle": 45.0}

@@ -8,20 +8,22 @@ import pytest
 from fake_server import FakeServer, completion, images, sound, texts
 from test_calibrate import writer
 
-from jrdb_avr.agent.model.calibrate import calibrate
+from jrdb_avr.agent.model.calibrate import Calibration, calibrate
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT
-from jrdb_avr.agent.model.labelled_people import PERSON_LINE, LabelledPerson, PersonView, find_errors, request_labels
+from jrdb_avr.agent.model.labelled_people import PERSON_LINE, PersonView, find_errors, request_labels
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.engine.commands._people import labelled_people
+from jrdb_avr.engine.run import evaluate as evaluating
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, write_calibration
-from jrdb_avr.engine.run.labelled_people import labelled_people
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import CROP, Box
-from jrdb_avr.schema.repeats import USUAL_REPEATS
+from jrdb_avr.schema.repeats import USUAL_REPEATS, ErrorCorrelation, Repeats
 from jrdb_avr.schema.rules import LoadRules
 
 TRUE = {"gender": "female", "age": "young adulthood", "pose": "standing"}
@@ -83,7 +85,7 @@ def reader(people, frame, person):
 
 
 def test_the_weights_of_a_model_are_measured_stored_and_taken_by_later_runs(tmp_path):
-    people = [LabelledPerson(*(view(f"{i} {which}") for which in "abc")) for i in range(60)]
+    people = [tuple(view(f"{i} {which}") for which in "abc") for i in range(60)]
     store = Store(tmp_path)
     with FakeServer(sound(reader(people, 0.9, 0.6), model="fake-1")) as server:
         found = calibrate(Client(server.url, "fake"), 12, people=people)
@@ -102,13 +104,30 @@ def test_the_weights_of_a_model_are_measured_stored_and_taken_by_later_runs(tmp_
         assert Endpoint(None, "fake", server.url).settings["repeats"] == {"frame": 0.05, "person": 0.25}
 
 
+def test_the_world_model_of_a_run_weighs_repeats_as_calibrated(benchmark_copy, monkeypatch):
+    worlds = []
+
+    def stop(method, endpoint, world, options):
+        worlds.append(world.repeats)
+        raise StoreError("stop")
+
+    monkeypatch.setattr(evaluating, "_make", stop)
+    model = {"model": "simulated", "served_model": "simulated", "response_format": "json_schema", "thinking": "off"}
+    unread = {"asked_sha256": "", "asked": 0, "readable": 0, "scores": (), "boxes": {}, "scales": {}}
+    measured = {"frame_errors": ErrorCorrelation(correlation=0.6), "person_errors": ErrorCorrelation(correlation=0.0)}
+    write_calibration(benchmark_copy, Calibration(**model, **unread, **measured))
+    with pytest.raises(StoreError, match="stop"):
+        evaluating.evaluate(benchmark_copy, "agent", "simulated")
+    assert worlds == [Repeats(frame=pytest.approx(0.25), person=1.0)]
+
+
 def test_people_of_a_store_are_shown_with_their_labels(tmp_path):
     list(write(plan(tmp_path / "root", [(120, 6)], 42, "keyframes"), 1))
     store = Store(tmp_path / "store")
     load(find_root(tmp_path / "root"), store, LoadRules(), 1)
     people = labelled_people(store, 6)
     assert len(people) == 6 and people == labelled_people(store, 6)
-    assert len({tuple(person.first.labels.items()) for person in people}) > 2
+    assert len({tuple(person[0].labels.items()) for person in people}) > 2
     rows = store.sql("SELECT * FROM intervals_sightings").to_pylist()
     sights = {(row["sequence"], row["frame"], round(row["w"], 3), round(row["h"], 3)): row for row in rows}
     for person in people:

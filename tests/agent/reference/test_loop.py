@@ -184,6 +184,15 @@ def test_a_person_has_one_box_in_a_picture(world):
     assert world_of(game)["people"] == {"p1": "female, 000150 at 165", "p2": "male, 000150 at 188"}
 
 
+def test_a_refused_person_keeps_its_number(world):
+    """A relation to a refused person is no relation to the next person of the picture."""
+    talking = person("p1", gender="female", **{"relation conversation": ["p2"]})
+    refused, other = person("p2", RIGHT_BOX, gender="woman"), person("p3", RIGHT_BOX, gender="male")
+    game = play([PAIR, turn(look()), writes(talking, refused), writes(other), "x"], world=world)
+    facts = [json.loads(write.fact) for write in game.writes if write.tool == "add_people" and write.accepted]
+    assert [fact["sighted"][0]["number"] for fact in facts] == [1, 3]
+
+
 UNGROUNDED = [
     people(observation="o7"),
     people(observation=None),

@@ -481,6 +481,7 @@ def test_sightings_appear_with_the_slider(opened, benchmark_copy, tmp_path):
     text = driver.find_element("tag name", "main").text
     assert "p1 is the likeliest A, the target: log-odds +3.5, 1.5 ahead of the next person." in text
     assert "sitting has log-odds 2.2. Verdict: supported." in text
+    assert "The model proposed another answer, which the graph does not support: 1: " in text
     assert driver.find_element("css selector", ".plan .name").text == "A = p1, target"
     assert len(driver.find_elements("css selector", "table.bindings tbody tr")) == 2
     assert "212\N{DEGREE SIGN}: p1 may be there" in text

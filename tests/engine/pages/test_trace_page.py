@@ -6,15 +6,17 @@ The page in a browser is in `test_pages.py`.
 import json
 from types import SimpleNamespace
 
+import msgspec
 import pyarrow as pa
 import pytest
 from processes import run
-from traced_runs import PERSON, stored_run, trace_runs
+from traced_runs import PERSON, entity, related, stored_run, trace_runs
 
 from jrdb_avr.engine.pages import trace as trace_page
 from jrdb_avr.engine.pages.turns import turns_of
-from jrdb_avr.engine.report.traces import Trace, look_of
+from jrdb_avr.engine.report.traces import Trace, Written, look_of
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.beliefs import Fact
 from jrdb_avr.schema.tables import RUNS
 
 
@@ -129,3 +131,20 @@ def test_a_look_that_was_due_has_its_reason_in_the_title(angle, reason):
     rows = [{"step": n, "request": "{}", "seconds": 0.0} | row for n, row in enumerate(rows, 1)]
     (turn,) = turns_of(transcript(model_step(0), *rows))
     assert turn.title == f"Turn 1: looked at frame 150, {angle:.0f}\N{DEGREE SIGN}{reason}"
+
+
+def test_relations_from_boxes_are_shown_if_they_hold_for_a_person_of_the_turn():
+    def edge(source, weight):
+        row = related(source, "p2", 0, 0, 0)
+        return msgspec.structs.replace(row, name="first to the left of", weight=weight, origin="derived")
+
+    fact = Fact(entities=(entity("p1", 1, 0),), related=(edge("p1", 2.0), edge("p1", -2.0), edge("p3", 2.0)))
+    row = {"tool": "add_people", "accepted": True, "reason": ""}
+    record = transcript(model_step(0))
+    record.writes = [Written(row, 0, fact)]
+    (turn,) = turns_of(record)
+    arrow = "\N{RIGHTWARDS ARROW}"
+    assert [tuple(line) for line in turn.people] == [
+        ("p1", True, [f"first to the left of {arrow} p2 +2.0 (from boxes)"])
+    ]
+    assert turn.title == "Turn 1: wrote 1 person (p1 new)"

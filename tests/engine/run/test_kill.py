@@ -23,7 +23,7 @@ from fake_server import FakeServer, images, sound, texts
 from painted import write_store
 
 from jrdb_avr.queries.beliefs.graph import make_world_tables
-from jrdb_avr.queries.beliefs.record import replayed
+from jrdb_avr.queries.beliefs.record import replay
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.plan import canonical
 
@@ -33,7 +33,7 @@ ASKED = 8
 # One process that has everything imported and no thread forks each run: a run costs its own work alone.
 LAUNCHER = """
 import os, sys
-import jrdb_avr.agent.methods.react, jrdb_avr.agent.reference.method, jrdb_avr.agent.beliefs.world_model
+import jrdb_avr.agent.methods.react, jrdb_avr.agent.reference.method, jrdb_avr.agent.world.episode
 import jrdb_avr.engine.commands.evaluate, jrdb_avr.engine.run.evaluate, jrdb_avr.queries.beliefs.graph
 from jrdb_avr.agent.model import transport
 from jrdb_avr.engine import cli
@@ -217,6 +217,6 @@ def test_react_killed_and_resumed(launcher, asked_world, tmp_path):
 def test_agent_killed_and_resumed(launcher, asked_world, tmp_path):
     whole = kill_and_resume(launcher, asked_world, tmp_path, "agent", agent, 2, 2)
     record = pq.read_table(whole.run_path("r") / "world.parquet")
-    assert {row["tool"] for row in record.to_pylist()} >= {"begin", "plan", "observe", "add_entity", "add_relation"}
-    made = {name: table.num_rows for name, table in replayed(record).items()}
+    assert {row["tool"] for row in record.to_pylist()} >= {"begin", "plan", "observe", "add_people", "add_relation"}
+    made = {name: table.num_rows for name, table in replay(record).items()}
     assert made == {name: len(rows) for name, rows in in_graph(whole).items()}

@@ -9,8 +9,8 @@ import pytest
 from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.run.evaluate import evaluate
-from jrdb_avr.queries.opaque import key_path, opaque_names
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
+from jrdb_avr.queries.opaque import key_path, opaque_names
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import ObserveError, StoreError
 from jrdb_avr.schema.method import Prediction

@@ -20,8 +20,8 @@ from processes import run
 from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.agent.simulated.sight import Sight
-from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.engine.run.public import export_public, strip_metadata
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -152,7 +152,6 @@ def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
     base = ("evaluate", "--store", made, "--method", "react", "--model", "simulated:perfect")
     for options in (["--family", "long_range"], ["--template", "gap"], ["--per-template", "1"]):
         assert "a public store have no" in refusal(*base, *options)
-    assert "--world-db" in refusal(*base[:-3], "agent", *base[-2:])
 
 
 @pytest.mark.slow

@@ -10,9 +10,9 @@ import pytest
 from painted import SEQUENCE, World, still
 from reference_play import CHOICES, PLAN, Scripted, look, turn
 
-from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS, make_method
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 
