@@ -30,7 +30,7 @@ BUDGETS = {
     "engine": 350,
     "agent/model": 1150,
     "agent/methods": 460,
-    "agent/simulated": 1660,
+    "agent/simulated": 950,
     "agent": 3700,
     "__init__.py": 60,
 }
@@ -40,15 +40,11 @@ TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 LANGUAGE_LATER = (
     "agent/beliefs/",
-    "agent/perceive/",
-    "agent/policy/",
     "agent/reference/",
-    "agent/simulated/",
     "loaders/synthetic/",
     "queries/beliefs/",
     "queries/compiler/beliefs.py",
     "queries/compiler/believed.py",
-    "schema/markers.py",
     "schema/plan.py",
 )
 """Paths that later changes rewrite: until then, their language does not count, nor do ruff's rules of docstrings."""

@@ -108,6 +108,7 @@ class WorldMemory:
         Returns:
             The system message and one user message.
         """
+        self.world.begin_turn()
         self.shown += turn.views
         views = view_parts(self.shown)
         parts: list[Part] = [

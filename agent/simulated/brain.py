@@ -7,7 +7,6 @@ The plan of a question is the program that the question's words mean.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -21,19 +20,20 @@ from jrdb_avr.agent.look.ranking import RankedHypothesis, rank
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.perceive.fields import Field, fields_of, perceivable, read_person
+from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.perceive.readings import PersonReading
 from jrdb_avr.agent.perceive.votes import Tracks
-from jrdb_avr.agent.simulated.fields import say
+from jrdb_avr.agent.simulated.fields import describe
 from jrdb_avr.agent.simulated.noise import ReadPerson, View
 from jrdb_avr.agent.simulated.play_tools import tools_turn
-from jrdb_avr.agent.simulated.requests import Look, Play, Reply, Request, stitched_box
+from jrdb_avr.agent.simulated.requests import Look, Play, Reply, Request
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, iou
 from jrdb_avr.schema.plan import Plan
 
-_SHOWN_DEG: Final = 3.0
-"""Maximum angle between a look and the person whom it was made to show again."""
+_SHOWN_DEG: Final = 12.0
+"""Maximum angle between a look and a person whom it shows well."""
 _TURN_DEG: Final = 1.5
 """Minimum angle between two looks at a frame, because equal looks are refused."""
 _Corners = tuple[float, float, float, float]
@@ -58,7 +58,7 @@ class Thought:
         fields = fields_of(self.plan, self.request.choices)
         for index, look in enumerate(self.request.looks, 1):
             readings = _read(look.people, look.view, look.name or f"o{index}", fields)
-            tracks = tracks.with_people(look.columns, look.frame, readings)
+            tracks = tracks.with_people(SeenColumns(look.view.left, look.view.width), look.frame, readings)
         return tracks
 
     @cached_property
@@ -81,15 +81,8 @@ class Thought:
         return conclude(self.plan, self.tracks, chosen, self.request.choices, self.frames)
 
     def answer(self, conclusion: Conclusion | None) -> Any:
-        """Return the answer in the form of a reply. Without a conclusion, guess by a hash of the choices."""
-        mode = MODES[self.plan.answer.mode]
-        if conclusion is not None:
-            return mode.written(conclusion.answer)
-        if mode.is_choice:
-            return 1 + hashlib.sha256("\n".join(self.request.choices).encode()).digest()[0] % max(
-                len(self.request.choices), 1
-            )
-        return mode.written(mode.make((self.frames[0], self.frames[-1]), 180.0))
+        """Return the answer in the form of a reply, or a guess without a conclusion."""
+        return self.request.guess() if conclusion is None else MODES[self.plan.answer.mode].written(conclusion.answer)
 
     def evidence(self, conclusion: Conclusion | None, looks: Iterable[Look]) -> list[tuple[Look, Box]]:
         """Return the pictures that show the conclusion's person, with the box in each, whole ones first."""
@@ -103,16 +96,13 @@ class Thought:
 @lru_cache(4096)
 def _read(people: tuple[ReadPerson, ...], view: View, name: str, fields: tuple[Field, ...]) -> _Readings:
     """Return the people of a picture under the model's identities, as readings of the fields."""
-    numbers = {f"p{person.identity}": number for number, person in enumerate(people, 1)}
-    ids, readings = [*numbers], []
-    for entity, person in zip(ids, people, strict=True):
-        value: dict[str, Any] = {"box": write_box(person.box, view.size)}
-        for field in fields:
-            said = say(field.key, person, people)
-            value[field.key] = [ids[number - 1] for number in said] if isinstance(said, list) else said
-        place = name, view.frame, view.left, view.size
-        readings.append((entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT)))
-    return tuple(readings)
+    said = describe(people, [field.key for field in fields], view.size)
+    numbers = {entity: number for number, entity in enumerate(said, 1)}
+    place = name, view.frame, view.left, view.size
+    return tuple(
+        (entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT))
+        for entity, value in said.items()
+    )
 
 
 def _is_whole(look: Look, box: Box) -> bool:
@@ -147,10 +137,9 @@ def _second_look(thought: Thought, conclusion: Conclusion | None) -> tuple[int, 
     if conclusion is None:
         return None
     looks, angle = thought.request.looks, center_angle(conclusion.box.x, conclusion.box.w)
-    shown = thought.evidence(conclusion, looks[-1:])
-    if shown and (_is_whole(*shown[0]) or angle_error(_angle(looks[-1]), angle) <= _SHOWN_DEG):
-        return None
     made = [_angle(look) for look in looks if look.frame == conclusion.frame]
+    if looks[-1].frame == conclusion.frame and angle_error(made[-1], angle) <= _SHOWN_DEG:
+        return None
     turns = (turn * sign for turn in range(CROP) for sign in (_TURN_DEG, -_TURN_DEG))
     turn = next(turn for turn in turns if all(angle_error(angle + turn, other) >= _TURN_DEG for other in made))
     return conclusion.frame, angle + turn
@@ -187,8 +176,7 @@ def _agent(request: Request) -> Reply:
 
 def _plan(request: Request) -> Reply:
     """Reply the question's plan. A refused plan is repeated, because the words have no other reading."""
-    plan: Reply = msgspec.to_builtins(request.plan)
-    return plan
+    return dict(msgspec.to_builtins(request.plan))
 
 
 # -- methods with fixed pictures --------------------------------------------------------------------------------------
@@ -235,7 +223,7 @@ def _choose(request: Request) -> Reply:
     except msgspec.DecodeError:
         raise DecodeError("the prompt has no refined box of four numbers") from None
     overlaps = {
-        f"p{person.identity}": iou(refined, stitched_box(look.view, person.box))
+        f"p{person.identity}": iou(refined, person.box._replace(x=person.box.x + look.view.left))
         for look in request.looks
         for person in look.people
     }

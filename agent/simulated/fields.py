@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.simulated.noise import ReadPerson
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.relations import RELATIONS
@@ -60,3 +61,23 @@ def say(key: str, person: ReadPerson, people: Sequence[ReadPerson]) -> Any:
         case "relation" if value in RELATIONS:
             return person.partners(value, people)
     raise DecodeError(f"the simulated model does not know the field {key[:60]!r}")
+
+
+def describe(people: Sequence[ReadPerson], keys: Iterable[str], size: tuple[int, int]) -> dict[str, dict[str, Any]]:
+    """Return what the model replies about the people of a picture, by id.
+
+    Args:
+        people: People of the reply.
+        keys: Keys of the fields.
+        size: Width and height of the picture in pixels.
+
+    Returns:
+        The box and the fields of each person. Relations name ids.
+    """
+    ids, keys = [f"p{person.identity}" for person in people], tuple(keys)
+    found = {}
+    for entity, person in zip(ids, people, strict=True):
+        said = {key: say(key, person, people) for key in keys}
+        named = {key: [ids[n - 1] for n in value] if isinstance(value, list) else value for key, value in said.items()}
+        found[entity] = {"box": write_box(person.box, size), **named}
+    return found

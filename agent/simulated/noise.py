@@ -36,6 +36,8 @@ CONFUSED: Final = {
 
 LEAST_HEIGHT: Final = 24.0
 """Minimum visible height, in pixels, of people who are read."""
+_THINNEST: Final = 500.0
+"""Minimum width of people who are read, as a part of the picture's width."""
 _MISS_HEIGHT: Final = 100.0
 _MISS_POWER: Final = 1.5
 _MOST_MISSED: Final = 0.98
@@ -193,7 +195,9 @@ class Reader:
             The people, false ones included.
         """
         identities = self._identities([person.track for person in everyone])
-        shown = [(person, box) for person in everyone if (box := self.view.place(person.box)) is not None]
+        # A reply writes boxes in thousandths of the picture.
+        wide = [person for person in everyone if person.box.w * _THINNEST >= self.view.width]
+        shown = [(person, box) for person in wide if (box := self.view.place(person.box)) is not None]
         boxes = [box for _, box in shown]
         read = [
             ReadPerson(identities[person.track], person, self._box(person, box), self)

@@ -7,16 +7,13 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.simulated.fields import NEAREST, START, read_fields, say
-from jrdb_avr.agent.simulated.requests import Look, Reply, Request, box_in
-from jrdb_avr.schema.answer_modes import MODES
+from jrdb_avr.agent.simulated.fields import NEAREST, START, describe, read_fields
+from jrdb_avr.agent.simulated.requests import Look, Reply, Request
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import angle_error
 
 _AROUND: Final = tuple(45.0 * eighth for eighth in range(8))
 """Angles of the looks that show a whole frame, in degrees."""
-
-_NO_CHOICE: Final = 1
 
 
 class _Supported(msgspec.Struct):
@@ -73,22 +70,9 @@ def _lines(request: Request) -> tuple[_World, list[Any] | None]:
 
 def _add_people(request: Request, look: Look) -> dict[str, Any]:
     """Write the people of a picture, the nearest first."""
-    names = read_fields(request.line(START) or "")
     people = sorted(look.people, key=lambda person: -person.box.h)[:NEAREST]
-    ids = [f"p{person.identity}" for person in people]
-
-    def value(name: str, person: Any) -> Any:
-        said = say(name, person, people)
-        return [ids[number - 1] for number in said] if isinstance(said, list) else said
-
-    listed = [
-        {
-            "id": entity,
-            "box": box_in(look, person),
-            **{name: value(name, person) for name in names},
-        }
-        for entity, person in zip(ids, people, strict=True)
-    ]
+    said = describe(people, read_fields(request.line(START) or ""), look.view.size)
+    listed = [{"id": entity, **value} for entity, value in said.items()]
     return {"tool": "add_people", "observation": look.name, "people": listed}
 
 
@@ -113,9 +97,4 @@ def _final(request: Request, world: _World) -> dict[str, Any]:
     """Return the final answer that the graph supports, or a guess."""
     if world.supported is not None:
         return {"tool": "final_answer", "answer": world.supported.answer, "entity": world.supported.entity}
-    answer: Any = _NO_CHOICE
-    mode = MODES[request.plan.answer.mode]
-    if not mode.is_choice:
-        texts = {"frame": f"{request.legal()[0]:06d}", "angle": 180.0, "decimal": "1"}
-        answer = {part.key: texts[part.kind] for part in mode.parts}
-    return {"tool": "final_answer", "answer": answer, "entity": next(iter(world.people), "p1")}
+    return {"tool": "final_answer", "answer": request.guess(), "entity": next(iter(world.people), "p1")}

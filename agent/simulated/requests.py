@@ -7,6 +7,7 @@ the question's text names the sequence.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -15,19 +16,16 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.prompts import read_frame_ranges
-from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.simulated.noise import ReadPerson, View
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError, PlanError
-from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, crop_left
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, crop_left
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.wording.text import parse
 
 _ANNOUNCED: Final = re.compile(r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?: (\{.*\})")
 _CHOICE: Final = re.compile(r"\d+\. (.+)")
-
-FrameId = Annotated[str, msgspec.Meta(pattern="^[0-9]{6}$")]
 
 
 @dataclass(frozen=True)
@@ -54,16 +52,6 @@ class Look:
         """Whether the picture is a whole panorama."""
         return self.view.width == WIDTH
 
-    @property
-    def columns(self) -> SeenColumns:
-        """Columns that the picture shows."""
-        return SeenColumns(self.view.left, self.view.width)
-
-
-def box_in(look: Look, person: ReadPerson) -> list[int]:
-    """Return a person's box as a reply writes it: left, top, right, bottom in thousandths of the picture."""
-    return write_box(person.box, look.view.size)
-
 
 @dataclass(frozen=True)
 class Request:
@@ -72,7 +60,6 @@ class Request:
     Attributes:
         stage: Last line of the newest user message.
         lines: All lines of the newest user message.
-        question: Text of the question.
         plan: Plan that the question's words mean.
         choices: Texts of the choices, empty for other answer modes.
         frames: Legal frames, empty if the method does not choose frames.
@@ -81,7 +68,6 @@ class Request:
 
     stage: str
     lines: tuple[str, ...]
-    question: str
     plan: Plan
     choices: tuple[str, ...]
     frames: tuple[int, ...]
@@ -96,6 +82,13 @@ class Request:
         if not self.frames:
             raise DecodeError("the prompt names no legal frame")
         return self.frames
+
+    def guess(self) -> Any:
+        """Return an answer without evidence: the choice by a hash of the choices, or the first legal frames."""
+        mode, frames = MODES[self.plan.answer.mode], self.frames or [look.frame for look in self.looks] or [0]
+        if mode.is_choice:
+            return 1 + hashlib.sha256("\n".join(self.choices).encode()).digest()[0] % max(len(self.choices), 1)
+        return mode.written(mode.make((frames[0], frames[-1]), 180.0))
 
     def left(self, start: str) -> int:
         """Return the rest of a budget, by the line that begins with a text. Raise DecodeError if it is missing."""
@@ -178,7 +171,7 @@ def read_request(
     legal = find_line(heading, "Legal frames: ")
     frames = () if legal is None else tuple(read_frame_ranges(legal))
     looks = tuple(look for parts in turns for look in _looks(parts, see, sequences.get(question)))
-    return Request(lines[-1], lines, question, plan, _choices(heading), frames, looks)
+    return Request(lines[-1], lines, plan, _choices(heading), frames, looks)
 
 
 def lines_of(parts: UserMessage) -> tuple[str, ...]:
@@ -204,7 +197,7 @@ def _choices(lines: Sequence[str]) -> tuple[str, ...]:
 class _Metadata(msgspec.Struct):
     """JSON object before a picture. Without an angle, the picture is a whole panorama."""
 
-    frame_id: FrameId
+    frame_id: Annotated[str, msgspec.Meta(pattern="^[0-9]{6}$")]
     angle_deg: float | None = None
 
 
@@ -212,41 +205,29 @@ _METADATA: Final = msgspec.json.Decoder(_Metadata)
 
 
 def _looks(parts: UserMessage, see: See, sequence: str | None) -> Iterator[Look]:
-    """Yield the pictures of a message. A picture that is no longer sent shows nobody."""
-    announced: tuple[str, _Metadata] | None = None
+    """Yield the pictures of a message. A picture that is announced, but not sent any more, shows nobody."""
+    found: list[tuple[str, _Metadata | None, MessagePart | None]] = []
     for part in parts:
         for line in filter(None, map(_ANNOUNCED.fullmatch, part.text.split("\n"))):
-            if announced is not None:
-                yield Look(announced[0], _view("", int(announced[1].frame_id), announced[1].angle_deg), ())
             try:
-                announced = line[1] or "", _METADATA.decode(line[2])
+                found.append((line[1] or "", _METADATA.decode(line[2]), None))
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
         if part.image_url is not None:
-            view = _shown(part.jrdb_avr, announced, sequence)
-            yield Look("" if announced is None else announced[0], view, see(view))
-            announced = None
-    if announced is not None:
-        yield Look(announced[0], _view("", int(announced[1].frame_id), announced[1].angle_deg), ())
-
-
-def _shown(reference: Reference | None, announced: tuple[str, _Metadata] | None, sequence: str | None) -> View:
-    if reference is not None:
-        return view_of(reference)
-    if announced is None or sequence is None:
-        raise DecodeError("a picture has no reference: declare the run simulated (--simulated)")
-    return _view(sequence, int(announced[1].frame_id), announced[1].angle_deg)
+            name, place, _ = found.pop() if found and found[-1][2] is None else ("", None, None)
+            found.append((name, place, part))
+    for name, place, picture in found:
+        if picture is not None and picture.jrdb_avr is not None:
+            view = view_of(picture.jrdb_avr)
+        elif place is None or (picture is not None and sequence is None):
+            raise DecodeError("a picture has no reference: declare the run simulated (--simulated)")
+        else:
+            view = view_of(Reference(sequence or "", int(place.frame_id), place.angle_deg))
+        yield Look(name, view, () if picture is None else see(view))
 
 
 def view_of(reference: Reference) -> View:
     """Return the part of a panorama that a picture shows."""
-    return _view(reference.sequence, reference.frame, reference.angle)
-
-
-def _view(sequence: str, frame: int, angle: float | None) -> View:
-    return View(sequence, frame, 0.0, WIDTH) if angle is None else View(sequence, frame, crop_left(angle), CROP)
-
-
-def stitched_box(view: View, box: Box) -> Box:
-    """Return a box of a picture in stitched pixels."""
-    return box._replace(x=box.x + view.left)
+    whole = reference.angle is None
+    left, width = (0.0, WIDTH) if whole else (crop_left(reference.angle or 0.0), CROP)
+    return View(reference.sequence, reference.frame, left, width)

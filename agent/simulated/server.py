@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
@@ -27,7 +28,7 @@ from jrdb_avr.agent.simulated.brain import STAGES
 from jrdb_avr.agent.simulated.noise import Draws, Reader, ReadPerson, View
 from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
 from jrdb_avr.agent.simulated.recorded import RecordedReader
-from jrdb_avr.agent.simulated.requests import See, UserMessage, lines_of, read_request, view_of
+from jrdb_avr.agent.simulated.requests import MessagePart, See, UserMessage, lines_of, read_request, view_of
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, tool_calls, user_turns, with_stage
 from jrdb_avr.schema.errors import DecodeError
@@ -44,11 +45,6 @@ class _Request(msgspec.Struct):
     response_format: Any = None
     tools: list[Tool] = []
     stream: bool | None = None
-
-    @property
-    def turns(self) -> list[UserMessage]:
-        """User messages, and the results of calls."""
-        return with_stage(user_turns(self.messages), self.tools)
 
 
 # Made at import, because threads that meet a type first at the same time crash the decoder.
@@ -110,14 +106,16 @@ class Server(ThreadingHTTPServer):
             raise DecodeError(f"not a chat-completions request: {error}") from None
         if message.stream:
             raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
-        errors = self._errors or PROFILES[_profile_name(message.model)]
+        turns = with_stage(user_turns(message.messages), message.tools)
+        profile = PROFILES.get(message.model.removeprefix(f"{SIMULATED}:"), PROFILES[USUAL])
+        errors = self._errors or profile
         see = functools.partial(self._see, errors)
         # Only programs that declare tools may send pictures without references.
         sequences = self._sight.sequences if self._sight is not None and message.tools else {}
-        request = read_request(message.turns, STAGES, see, sequences)
+        request = read_request(turns, STAGES, see, sequences)
         calls: list[dict[str, Any]] = []
         if request is None:
-            content = _probe_reply(message, see)
+            content = _probe_reply(turns[-1] if turns else [], message.response_format, see)
         else:
             reply = STAGES[request.stage](request)
             content = msgspec.json.encode(reply).decode()
@@ -131,23 +129,13 @@ class Server(ThreadingHTTPServer):
         return _completion(message, content, calls)
 
 
-def _profile_name(model: str) -> str:
-    name = model.removeprefix(f"{SIMULATED}:")
-    return name if name in PROFILES else USUAL
-
-
 def _completion(request: _Request, content: str, calls: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
-    images = sum(part.image_url is not None for part in parts)
-    prompt_tokens = sum(len(part.text) for part in parts) // 4 + images * _IMAGE_TOKENS
+    prompt_tokens = sum(_IMAGE_TOKENS if part.image_url else len(part.text) // 4 for part in parts)
     completion_tokens = len(content) // 4
     tokens = {"prompt_tokens": prompt_tokens, "completion_tokens": completion_tokens}
-    answer = {"content": None, "tool_calls": calls} if calls else {"content": content}
-    choice = {
-        "index": 0,
-        "finish_reason": "tool_calls" if calls else "stop",
-        "message": {"role": "assistant", **answer},
-    }
+    finish, called = ("tool_calls", {"content": None, "tool_calls": calls}) if calls else ("stop", {"content": content})
+    choice = {"index": 0, "finish_reason": finish, "message": {"role": "assistant", **called}}
     about = {"id": SIMULATED, "object": "chat.completion", "created": 0, "model": request.model}
     return {**about, "choices": [choice], "usage": {**tokens, "total_tokens": sum(tokens.values())}}
 
@@ -193,13 +181,11 @@ def simulated_server(sight: Sight | None, errors: Errors | None) -> Iterator[str
         The base URL.
     """
     with Server(sight, errors) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
+        threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
             yield server.url
         finally:
             server.shutdown()
-            thread.join()
 
 
 # -- probes -----------------------------------------------------------------------------------------------------------
@@ -210,9 +196,8 @@ _BOX: Final = re.compile(r"inside the box (\[[0-9, ]+\]):")
 _FRAME: Final = re.compile(r'Picture \d+: \{"frame_id": ?"(\d{6})"\}')
 
 
-def _probe_reply(request: _Request, see: See) -> str:
+def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
     """Return the reply to a request that is not a stage of a question. Raise DecodeError if its picture is missing."""
-    parts = request.turns[-1] if request.turns else []
     lines = lines_of(parts)
     text, last = "\n".join(lines), lines[-1] if lines else ""
     if last in (CORNER_LINE, BOX_LINE, PANORAMA_LINE, CROP_LINE):
@@ -221,8 +206,7 @@ def _probe_reply(request: _Request, see: See) -> str:
         return msgspec.json.encode(_person_reply(text, parts, see)).decode()
     if found := _OBJECT.search(text):
         return found[1]
-    form: Any = request.response_format or {}
-    if form.get("type") == "json_schema":
+    if form is not None and form["type"] == "json_schema":
         properties = form["json_schema"]["schema"].get("properties", {})
         return msgspec.json.encode({name: value.get("enum", [None])[0] for name, value in properties.items()}).decode()
     found = _WORD.search(text)
@@ -236,26 +220,19 @@ def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
         raise DecodeError("the request names no box, or its picture has no reference")
     left, top, right, bottom = (side * CROP / SCALE for side in msgspec.json.decode(box[1], type=list[int]))
     asked = Box(left, top, right - left, bottom - top)
-    person = max(see(view_of(reference)), key=lambda other: iou(other.box, asked), default=None)
-    known = person is not None and iou(person.box, asked) > 0
-    return {
-        name: (person.label(name) if person and known else None) or "cannot tell" for name in ("gender", "age", "pose")
-    }
+    people = [person for person in see(view_of(reference)) if iou(person.box, asked) > 0]
+    best = max(people, key=lambda person: iou(person.box, asked), default=None)
+    return {name: (best and best.label(name)) or "cannot tell" for name in ("gender", "age", "pose")}
 
 
 def _picture_reply(last: str, parts: UserMessage) -> dict[str, Any]:
     """Return the reply to a probe with drawn pictures, of which one shows a marked rectangle."""
-    number, before = 0, ""
-    for part in parts:
-        if part.image_url is None:
-            before = part.text
-            continue
-        number += 1
-        if part.jrdb_avr is not None and part.jrdb_avr.rectangle is not None:
-            break
-    else:
+    pictures = [(part.jrdb_avr, before.text) for before, part in pairwise([MessagePart(), *parts]) if part.image_url]
+    marked = [(n, one, before) for n, (one, before) in enumerate(pictures, 1) if one is not None and one.rectangle]
+    if not marked:
         raise DecodeError("no picture of the request refers to a rectangle: declare the run simulated (--simulated)")
-    size, box = part.jrdb_avr.size, Box(*part.jrdb_avr.rectangle)
+    number, reference, before = marked[0]
+    size, box = reference.size, Box(*(reference.rectangle or (0, 0, 0, 0)))
     if last == CORNER_LINE:
         down = "upper" if box.y + box.h / 2 < size[1] / 2 else "lower"
         across = "left" if box.x + box.w / 2 < size[0] / 2 else "right"

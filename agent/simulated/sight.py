@@ -30,7 +30,6 @@ _FRAMES: Final = 4096
 
 _SECTOR_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
 """Degrees from a person's heading at which front, front side, side, back side and back meet."""
-_SECTORS: Final = [*PERSON_SECTORS]
 _PERSON_TIES: Final = tuple(label for label, row in RELATIONS.items() if row.kind == "person")
 
 Row = dict[str, Any]
@@ -50,7 +49,7 @@ class Sight:
             )
         opaque = opaque_names(store, self._loaded) if key_path(store).exists() else {}
         self._names = {hidden: name for name, hidden in opaque.items()}
-        self._sequence = functools.lru_cache(_SEQUENCES)(lambda name: _Sequence(store, name))
+        self._sequence = functools.lru_cache(_SEQUENCES)(functools.partial(_Sequence, store))
         self._frame = functools.lru_cache(_FRAMES)(lambda name, frame: self._sequence(name).people(frame))
 
     @functools.cached_property
@@ -78,8 +77,7 @@ class Sight:
         name = self._names.get(sequence, sequence)
         if name not in self._loaded:
             raise DecodeError(f"the simulated model's store has no sequence {sequence[:60]!r}")
-        people: tuple[Person, ...] = self._frame(name, frame)
-        return people
+        return self._frame(name, frame)
 
 
 class _Layer:
@@ -114,26 +112,22 @@ class _Sequence:
         self._things = {
             (row["object"], row["category_id"]): row["category"] for row in store.interval("objects", name).to_pylist()
         }
-        votes = store.interval("demographics", name)
         self._constant: dict[int, dict[str, frozenset[str]]] = defaultdict(dict)
-        for row in votes.filter(votes["chosen"]).select(["track", "attribute", "value"]).to_pylist():
-            self._constant[row["track"]][row["attribute"]] = frozenset((row["value"],))
+        for row in store.interval("demographics", name).to_pylist():
+            if row["chosen"]:
+                self._constant[row["track"]][row["attribute"]] = frozenset((row["value"],))
 
     def people(self, frame: int) -> tuple[Person, ...]:
         """Return the people of a frame who are not covered, by track."""
         rows = [dict(zip(_SIGHTING, row, strict=True)) for row in self._sightings.rows(frame)]
         rows = sorted((row for row in rows if not row["covered"]), key=lambda row: row["track"])
-        labels = self._labels(frame)
-        social = self._social(frame)
+        labels, social = self._labels(frame), self._social(frame)
         return tuple(
             Person(
-                row["track"],
-                Box(row["x"], row["y"], row["w"], row["h"]),
-                {
-                    **self._constant[row["track"]],
-                    **_known_labels(row, labels[row["track"]], social[row["track"]]),
-                },
-                _ties(row, rows, social[row["track"]]),
+                track := row["track"],
+                Box(*(row[side] for side in "xywh")),
+                self._constant[track] | _known_labels(row, labels[track] | {"interaction": {*social[track]}}),
+                _ties(row, rows, social[track]),
                 row["distance"],
             )
             for row in rows
@@ -162,21 +156,13 @@ _SIGHTING: Final = (
     *("track", "x", "y", "w", "h", "covered", "listed", "interactions_listed", "handles_listed"),
     *("cluster", "located", "distance", "cx", "cy", "heading"),
 )
-_LISTED: Final = {
-    "pose": "listed",
-    "action": "listed",
-    "object": "handles_listed",
-    "interaction": "interactions_listed",
-}
+_LISTS: Final = {"pose": "listed", "action": "listed", "object": "handles_listed", "interaction": "interactions_listed"}
 """Column that says whether the annotators' list of a name is complete."""
 
 
-def _known_labels(
-    row: Row, labels: Mapping[str, set[str]], social: Mapping[str, set[int]]
-) -> dict[str, frozenset[str]]:
+def _known_labels(row: Row, labels: Mapping[str, set[str]]) -> dict[str, frozenset[str]]:
     """Return the values of each name, if the annotators' list of the name is complete or not empty."""
-    values = {name: frozenset(social if name == "interaction" else labels.get(name, ())) for name in _LISTED}
-    return {name: values[name] for name, column in _LISTED.items() if row[column] or values[name]}
+    return {name: frozenset(labels.get(name, ())) for name, column in _LISTS.items() if row[column] or labels.get(name)}
 
 
 def _ties(row: Row, rows: Sequence[Row], social: Mapping[str, set[int]]) -> dict[str, frozenset[int]]:
@@ -188,11 +174,8 @@ def _ties(row: Row, rows: Sequence[Row], social: Mapping[str, set[int]]) -> dict
     if row["cluster"] is not None:
         ties[SAME_GROUP] = frozenset(other["track"] for other in others if other["cluster"] == row["cluster"])
     if row["located"] and row["heading"] is not None:
-        found: dict[str, set[int]] = {label: set() for label in _PERSON_TIES}
-        for other in others:
-            if other["located"] and (label := _side(row, other)):
-                found[label].add(other["track"])
-        ties |= {label: frozenset(tracks) for label, tracks in found.items()}
+        sides = {other["track"]: _side(row, other) for other in others if other["located"]}
+        ties |= {label: frozenset(track for track in sides if sides[track] == label) for label in _PERSON_TIES}
     return ties
 
 
@@ -206,5 +189,5 @@ def _side(source: Row, target: Row) -> str | None:
     bearing = (bearing + 180.0) % 360.0 - 180.0
     ring = sum(abs(bearing) > edge for edge in _SECTOR_EDGES)
     # The sectors go round from the front over the left.
-    sector = _SECTORS[ring if bearing >= 0 else -ring % len(_SECTORS)]
+    sector = [*PERSON_SECTORS][ring if bearing >= 0 else -ring % len(PERSON_SECTORS)]
     return person_frame_label(sector, DISTANCE_WORDS[sum(metres > bound for bound in DISTANCE_BOUNDS_M)])

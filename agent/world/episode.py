@@ -353,6 +353,10 @@ class WorldEpisode:
         for write, _ in writes:
             self._record(write)
 
+    def begin_turn(self) -> None:
+        """Count a turn of the model."""
+        self._graph.begin_turn()
+
     # -- reads --------------------------------------------------------------------------------------------------------
 
     def bindings(self) -> tuple[RankedHypothesis, ...]:

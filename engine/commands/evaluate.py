@@ -80,10 +80,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
     A public store (see 'export --public') is a store for machines that must not have the answers. It holds no answers
-    and no labels. On a public store, --family, --template and --per-template do not work. Methods with a world model
-    need --world-db on a public store:
+    and no labels. On a public store, --family, --template and --per-template do not work:
 
-      jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
+      jrdb-avr evaluate --store PUBLIC --method agent --model M --base-url URL
     """
     from jrdb_avr.agent.simulated.profiles import profile_of
     from jrdb_avr.engine.report.formats import filled

@@ -27,13 +27,13 @@ class WorldGraph:
 
     Attributes:
         graph: The session.
-        counts: Number of statements that read and that wrote, by "reads" and "writes".
+        counts: Number of statements that read and that wrote, by "reads" and "writes". Number of turns, by "turns".
         seconds: Processor seconds of each batch of statements, in the order of the batches.
     """
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
-        self.counts: Counter[str] = Counter(reads=0, writes=0)
+        self.counts: Counter[str] = Counter(turns=0, reads=0, writes=0)
         self.seconds: list[float] = []
         self._lock = threading.Lock()
 
@@ -61,6 +61,11 @@ class WorldGraph:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def begin_turn(self) -> None:
+        """Count a turn, so that the statements of a run can be compared with its turns."""
+        with self._lock:
+            self.counts["turns"] += 1
 
     def read(self, cypher: str, params: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return the rows of a reading statement.

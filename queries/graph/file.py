@@ -149,8 +149,8 @@ def check_fingerprint(graph: Path) -> Fingerprint:
 def describe_rebuild(graph: Path) -> str:
     """Return advice for error messages on how to build a graph file again.
 
-    If the file is the graph of a store, the advice names a command. If it is a file of world models
-    (`evaluate --world-db`), the advice is to remove the file, because the next run makes a new one.
+    If the file is the graph of a store, the advice names a command. If it is the graph of a run in progress, the
+    advice is to remove the file, because the next run makes a new one.
     """
     if graph.name != STORE_GRAPH:
         return "give another file, or remove this one: the next run makes a new one"
