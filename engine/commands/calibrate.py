@@ -39,8 +39,8 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of
     from jrdb_avr.agent.preflight import preflight
+    from jrdb_avr.engine.commands._people import labelled_people
     from jrdb_avr.engine.run.endpoint import declared, serving, write_calibration
-    from jrdb_avr.engine.run.labelled_people import labelled_people
     from jrdb_avr.queries.display import step_counter
 
     if not store.question_path("questions").exists():

@@ -14,9 +14,9 @@ from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.labelled_people import PERSON_LINE, PersonView, find_errors, request_labels
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.engine.commands._people import labelled_people
 from jrdb_avr.engine.run import evaluate as evaluating
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, write_calibration
-from jrdb_avr.engine.run.labelled_people import labelled_people
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
