@@ -113,7 +113,7 @@ class _Maker:
 
 
 class Things:
-    """The things of a sequence: those that a script needs, and some more that only stand about. For those that stand or
+    """The things of a sequence: those that a script needs, and some more that no person moves. For things that no person moves or
     roll (`stands`, their places in `things`), by column: position in the world (frames, columns), and whether they are
     there."""
 
