@@ -185,8 +185,8 @@ def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]
                         if source is not None and target is not None:
                             total += pairs.get((index, source, target), edges[index].evidence(0.0))
                     grown.append((total, nodes))
-        # Rounding makes the order independent of the order in which evidence is added.
-        order = sorted(grown, key=lambda binding: (-round(binding[0], 9), *binding[1].values()))
+        # The graph rounds sums to nine decimals. Coarser rounding keeps the order of equal bindings.
+        order = sorted(grown, key=lambda binding: (-round(binding[0], 6), *binding[1].values()))
         beam = _with_each(order, node) or beam
     return tuple(
         RankedHypothesis(bound, log_odds, _margin(beam, plan.target, index))
