@@ -56,7 +56,7 @@ CHANGES: Final = (
 """Pairs of postures, and how often a person's label changes from either to the other, the most frequent first.
 
 Counted in JRDB's action labels of 27 sequences, between keyframes that are 15 frames apart, if both frames have exactly
-one posture of the person. Such postures are hard to tell apart, also for annotators. Other pairs do not occur.
+one posture of the person. Such postures are confused easily, also by annotators. Other pairs do not occur.
 """
 
 _OFTEN: Final = 100
@@ -79,7 +79,7 @@ class Conclusion:
 
     Attributes:
         answer: The answer.
-        entity: The person whom the answer is about.
+        entity: The person of the answer.
         frame: Frame of the evidence.
         box: Box of the person at `frame`, in stitched pixels.
         verdict: How well readings support the answer.
@@ -181,7 +181,7 @@ def _evidence(tracks: Tracks, entity: str, frame: int, described: Collection[int
     A box that no edge cuts comes first. A frame at which the plan describes the person comes before other frames,
     because the person had to be followed to these. Then the frame that is nearest to the answer's frame is best.
     """
-    readings = {at: reading for at in {one.frame for one in tracks.people[entity]}
+    readings = {at: reading for at in {item.frame for item in tracks.people[entity]}
                 if (reading := tracks.best_reading(entity, at)) is not None}  # fmt: skip
     at = min(readings, key=lambda at: (not readings[at].whole, at not in described, abs(at - frame), at))
     return at, readings[at].box
@@ -220,18 +220,18 @@ class _Reader:
         name, frame = self.plan.answer.attribute or "action", self._stated(0)
         values = [answer_of_choice(free_value(text)) for text in self.choices]
         odds = {
-            number: self.tracks.statement(self.entity, name, value, frame).log_odds
-            for number, value in enumerate(values, 1)
+            index: self.tracks.statement(self.entity, name, value, frame).log_odds
+            for index, value in enumerate(values, 1)
             if is_value(name, value)
         }
-        order = sorted(odds, key=lambda number: (-odds[number], number))
-        seen = min(self._read_frames(), key=lambda at: (abs(at - frame), at))
+        order = sorted(odds, key=lambda index: (-odds[index], index))
+        sighted = min(self._read_frames(), key=lambda at: (abs(at - frame), at))
         if order and odds[order[0]] > 0:
             ahead = odds[order[0]] - (odds[order[1]] if len(order) > 1 else 0.0)
             sure = odds[order[0]] >= CERTAIN and ahead >= CERTAIN and not is_doubted(values[order[0] - 1])
-            return ReadAnswer(Choice(order[0]), seen, "certain" if sure else "supported")
+            return ReadAnswer(Choice(order[0]), sighted, "certain" if sure else "supported")
         near = self._nearest_posture(values, frame) if name == "action" else None
-        return ReadAnswer(near, seen, "open" if near is None else "supported")
+        return ReadAnswer(near, sighted, "open" if near is None else "supported")
 
     def _nearest_posture(self, values: Sequence[str], frame: int) -> Choice | None:
         """Return the offered posture that is nearest to the posture that was read, None without one."""
@@ -258,7 +258,7 @@ class _Reader:
         times = [self._stated(0), self._stated(1)]
         present = [bool(self.tracks.readings_at(self.entity, at)) for at in times]
         text = PRESENCE_ANSWERS[{(1, 1): 0, (1, 0): 1, (0, 1): 2, (0, 0): 3}[present[0], present[1]]]
-        frame = next((at for at, seen in zip(times, present, strict=True) if seen), self._described())
+        frame = next((at for at, sighted in zip(times, present, strict=True) if sighted), self._described())
         return ReadAnswer(self._choice(text), frame, _weakest(map(self._present, times)))
 
     def _present(self, frame: int) -> SlotState:
@@ -269,7 +269,7 @@ class _Reader:
         return "open" if state == "contradicted" else state
 
     def _distance_change(self) -> ReadAnswer:
-        first, last = (self._stated(place) for place in (0, 1))
+        first, last = (self._stated(index) for index in (0, 1))
         if not self.tracks.readings_at(self.entity, last):
             return ReadAnswer(self._choice(DISTANCE_ANSWERS[3]), self._described(), self._present(last))
         before, after = (self.tracks.metres(self.entity, at) for at in (first, last))
@@ -279,8 +279,8 @@ class _Reader:
         return ReadAnswer(self._choice(DISTANCE_ANSWERS[index]), last, _weakest(map(self._present, (first, last))))
 
     def _choice(self, label: str) -> Choice | None:
-        number = choice_of(label, self.choices)
-        return None if number is None else Choice(number)
+        index = choice_of(label, self.choices)
+        return None if index is None else Choice(index)
 
     # -- moments and numbers ------------------------------------------------------------------------------------------
 
@@ -290,9 +290,9 @@ class _Reader:
         state = _weakest("open" if event is None else event.state for event in events)
         frame = next((event.high for event in events if event is not None and event.high is not None), None)
         first, last = round(moments[0]), round(moments[-1])
-        seen = [event is not None and event.high is not None for event in events]
+        sighted = [event is not None and event.high is not None for event in events]
         passed = (moments[-1] - moments[0]) / FPS
-        seconds = max(passed, 1.0 if seen[-1] else _LIKELY_S) if seen[0] else _LIKELY_S
+        seconds = max(passed, 1.0 if sighted[-1] else _LIKELY_S) if sighted[0] else _LIKELY_S
         angle = expected_place(self.tracks.people[self.entity], first).angle
         answer = MODES[self.plan.answer.mode].make((first, max(first, last)), angle, seconds)
         return ReadAnswer(answer, self._described() if frame is None else frame, state)
@@ -308,13 +308,13 @@ class _Reader:
         looked = [at for at in self.tracks.looks if first <= at <= last]
         relation = self.plan.answer.relation or ""
         partners = {
-            other
-            for other in self.tracks.people
+            partner
+            for partner in self.tracks.people
             for at in looked
-            if other != self.entity and self.tracks.relation(self.entity, relation, other, at).log_odds > 0
+            if partner != self.entity and self.tracks.relation(self.entity, relation, partner, at).log_odds > 0
         }
-        seen = [at for at in looked if self.tracks.readings_at(self.entity, at)]
-        frame = seen[0] if seen else first
+        sighted = [at for at in looked if self.tracks.readings_at(self.entity, at)]
+        frame = sighted[0] if sighted else first
         return ReadAnswer(Number(float(max(len(partners), 1))), frame, "supported" if partners else "open")
 
     # -- times --------------------------------------------------------------------------------------------------------
@@ -336,7 +336,7 @@ class _Reader:
         return min(self._read_frames(), key=lambda at: (abs(at - stated), at))
 
     def _began(self, index: int) -> int:
-        """Return the frame after which an event of the answer lies."""
+        """Return the frame after which an event of the answer is expected."""
         time = self.plan.times[self.plan.answer.times[index]]
         while time.after is not None:
             time = self.plan.times[time.after]
@@ -357,10 +357,10 @@ class _Reader:
         times = {self.plan.times[name].event: name for name in self.plan.answer.times}
         if "leaves" not in times or "returns" not in times:
             return {}
-        leaves = change(self._presences(), self._began(0), wanted=False)
+        leaves = change(self._presences(), self._began(0), expected=False)
         if leaves.high is None:
             return {times["leaves"]: leaves}
-        return {times["leaves"]: leaves, times["returns"]: change(self._presences(), leaves.high, wanted=True)}
+        return {times["leaves"]: leaves, times["returns"]: change(self._presences(), leaves.high, expected=True)}
 
     def _presences(self) -> dict[int, bool]:
         """Return whether the person was seen, at the frames at which a look shows the expected place."""

@@ -1,4 +1,4 @@
-"""The next looks: the ones that are expected to tell most, in bits, about the open parts of a plan.
+"""The next looks: the ones that are expected to yield most, in bits, about the open parts of a plan.
 
 While more looks are left than the answer needs, looks identify the people of the plan. Then looks follow the target,
 bracket events and show absences. No look is made only to agree with an earlier one, because errors of a model repeat. A
@@ -110,7 +110,7 @@ _SECTOR_REACH: Final = LoadRules().sector_false_deg
 
 
 class NextLook(NamedTuple):
-    """A look to make: frame, panorama angle in degrees, purpose, the bits that it is expected to tell, and a reason."""
+    """A look to make: frame, panorama angle in degrees, purpose, the expected bits, and a reason."""
 
     frame: int
     angle: float
@@ -128,7 +128,7 @@ def next_looks(
     most: int = 1,
     choices: Sequence[str] = (),
 ) -> tuple[NextLook, ...]:
-    """Return the looks that are expected to tell most.
+    """Return the looks that are expected to yield most.
 
     Args:
         plan: The plan.
@@ -140,7 +140,7 @@ def next_looks(
         choices: Choices of the question. If no reading of the target supports a choice, the target is read again.
 
     Returns:
-        Different looks, the most telling first. Empty if no look is worth making.
+        Different looks, the best first. Empty if no look is worth making.
     """
     if left <= 0 or not frames:
         return ()
@@ -150,15 +150,15 @@ def next_looks(
     for looks in (people, answer) if left > kept else (answer, people):
         best: list[NextLook] = []
         for look in sorted(looks, key=lambda look: -look.bits):
-            if len(best) < most and look.bits >= LEAST_BITS and not any(_are_alike(look, other) for other in best):
+            if len(best) < most and look.bits >= LEAST_BITS and not any(_are_alike(look, second) for second in best):
                 best.append(look)
         if best:
             return tuple(look._replace(angle=_turn_aside(tracks, look.frame, look.angle)) for look in best)
     return ()
 
 
-def _are_alike(look: NextLook, other: NextLook) -> bool:
-    return look.frame == other.frame and bool(angle_error(look.angle, other.angle) < FOV_DEG / 2)
+def _are_alike(look: NextLook, second: NextLook) -> bool:
+    return look.frame == second.frame and bool(angle_error(look.angle, second.angle) < FOV_DEG / 2)
 
 
 @dataclass(frozen=True)
@@ -217,12 +217,12 @@ class _Attention:
                 if axes and not looks:
                     yield NextLook(frame, axes[0], "identify", _AXIS_BITS, f"the plan states the sector of {node.id}")
                 crowd, unseen = self._crowd(frame)
-                known = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node.id).values())
+                fitting = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node.id).values())
                 arc = self._arc(node.id, frame)
                 for gap in gaps(looks, arc):
                     share = crowd * min(gap.span, FOV_DEG - _OVERLAP_DEG / 2) / arc.span
                     rest = unseen - crowd * min(gap.span, FOV_DEG - _OVERLAP_DEG / 2) / 360.0
-                    bits = 2 * _learned(share / (share + known + _MISSED + rest))
+                    bits = 2 * _learned(share / (share + fitting + _MISSED + rest))
                     angle = gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2
                     yield NextLook(frame, angle, "identify", bits, f"{node.id} may be where no look shows")
 
@@ -255,7 +255,7 @@ class _Attention:
         return min(arcs, key=lambda arc: arc.span)
 
     def verify(self) -> Iterator[NextLook]:
-        """Yield looks at the people of the best bindings whose parts are still open."""
+        """Yield looks at the people of the best bindings with open parts."""
         best = [*best_of_each(self.hypotheses, self.plan.target).values()][:_RIVALS]
         odds = [math.exp(min(hypothesis.log_odds, 20.0)) for hypothesis in best]
         others = _MISSED + self._crowd(self.legal(frames_of(self.plan, self.plan.root)[0]))[1]
@@ -269,16 +269,16 @@ class _Attention:
                     key = entity, self.legal(stated)
                     bits[key] = bits.get(key, 0.0) + max(_learned(chance), chance * _learned(0.5))
         for frame in dict.fromkeys(frame for _, frame in bits):
-            yield from self._views(frame, {entity: told for (entity, at), told in bits.items() if at == frame})
+            yield from self._views(frame, {entity: gain for (entity, at), gain in bits.items() if at == frame})
         yield from self._together()
 
     def _views(self, frame: int, bits: Mapping[str, float]) -> Iterator[NextLook]:
         """Yield looks at people who are worth these bits. One look may show several of them."""
         angles = {}
-        for entity, told in bits.items():
+        for entity, gain in bits.items():
             if not self.tracks.readings_at(entity, frame):
                 reason = f"{entity} may fit the plan and was not seen at this frame"
-                if (look := self._search(entity, frame, told, "verify", reason)) is not None:
+                if (look := self._search(entity, frame, gain, "verify", reason)) is not None:
                     yield look
             elif len(self.tracks.readings_at(entity, frame)) < _MOST_READINGS:
                 angles[entity] = self._angle(entity, frame)
@@ -384,15 +384,15 @@ class _Attention:
         A person who is missed once is looked for at the place to which the newest sighting leads, and at half of the
         time. After two misses the person is looked for on the sides.
         """
-        seen = max(event.low, *(reading.frame for reading in self.tracks.people[entity]))
-        lost = sorted(at for at in self.tracks.looks if at > seen)
-        newest = max([seen, *lost])
+        sighted = max(event.low, *(reading.frame for reading in self.tracks.people[entity]))
+        lost = sorted(at for at in self.tracks.looks if at > sighted)
+        newest = max([sighted, *lost])
         even = round(_EARLY * (last - newest) / max(self.left - _CLOSING, 1))
         at = min(newest + min(max(_STEP, even), 2 * _STEP), last)
         if lost and not covered(self.tracks.looks[lost[0]], around(self._angle(entity, lost[0]), EDGE_DEG)):
             at = lost[0]
-        elif len(lost) == 1 and lost[0] - seen > _NEARBY:
-            at = (seen + lost[0]) // 2
+        elif len(lost) == 1 and lost[0] - sighted > _NEARBY:
+            at = (sighted + lost[0]) // 2
         elif len(lost) > 1 and len(self.tracks.looks[newest]) < _TRIES:
             at = newest
         at = self.legal(at)
@@ -452,7 +452,7 @@ def _chance(arc: Arc, angle: float, spread: float) -> float:
 
 
 def _learned(chance: float) -> float:
-    """Return the bits that one reading of the usual confidence tells about a statement of this probability."""
+    """Return the bits that one reading of the usual confidence yields about a statement of this probability."""
     return _entropy(chance * USUAL + (1 - chance) * (1 - USUAL)) - _entropy(USUAL)
 
 
@@ -466,6 +466,6 @@ def _turn_aside(tracks: Tracks, frame: int, angle: float) -> float:
     """Return an angle near this one at which no look was made at the frame."""
     made = [(look.left + CROP / 2) * 360.0 / WIDTH for look in tracks.looks.get(frame, ()) if look.width == CROP]
     turn = 0.0
-    while any(angle_error(angle + turn, other) < _APART_DEG for other in made):
+    while any(angle_error(angle + turn, second) < _APART_DEG for second in made):
         turn = -turn if turn > 0 else 1.05 * _APART_DEG - turn
     return (angle + turn) % 360.0

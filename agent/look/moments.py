@@ -1,12 +1,13 @@
 """Moments of events and absences, bounded by the frames at which a person was read.
 
-An event lies between two sightings: the last before the change and the first after it. If they are near each other, the
+An event is between two sightings: the last before the change and the first after it. If they are near each other, the
 moment is certain; otherwise the middle is supported. An absence needs looks that show where the person should be.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perceive.expectation import expected_place
@@ -29,7 +30,7 @@ ABSENT_REACH: Final = 60.0
 
 
 class Bracket(NamedTuple):
-    """A change that lies after frame `low` and not later than frame `high`.
+    """A change after frame `low` and not later than frame `high`.
 
     high: None if the change has not been seen. after: first frame at which the change may lie.
     """
@@ -106,17 +107,17 @@ def group_changes(plan: Plan, tracks: Tracks, people: Mapping[str, str]) -> dict
     for name, time in plan.times.items():
         if time.is_group_event and (entity := people.get(time.of or "")) is not None:
             after = plan.times[time.after or ""].frame or 0
-            states = _known_states(tracks, lambda frame, entity=entity: is_in_group(tracks, entity, frame))
+            states = _known_states(tracks, partial(is_in_group, tracks, entity))
             bracket = group_change(states, after, time.event == "joins_group")
             if bracket.high is not None:
                 frames[name] = bracket.high
     return frames
 
 
-def group_change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
-    """Return the bracket of the first change to `wanted` from the opposite state, as `change` does from any state."""
-    opposite = min((frame for frame, state in states.items() if frame >= after and state is not wanted), default=None)
-    return Bracket(after, None, after) if opposite is None else change(states, opposite, wanted)._replace(after=after)
+def group_change(states: Mapping[int, bool], after: int, expected: bool) -> Bracket:
+    """Return the bracket of the first change to `expected` from the opposite state, as `change` does from any state."""
+    opposite = min((frame for frame, state in states.items() if frame >= after and state is not expected), default=None)
+    return Bracket(after, None, after) if opposite is None else change(states, opposite, expected)._replace(after=after)
 
 
 def performs_at(tracks: Tracks, entity: str, action: str, frame: int) -> bool | None:
@@ -166,20 +167,20 @@ def likeliest_course(votes: Mapping[int, Mapping[str, float]]) -> dict[int, str]
     return dict(zip(votes, course, strict=True))
 
 
-def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
-    """Return the bracket of the first change to `wanted` after a frame.
+def change(states: Mapping[int, bool], after: int, expected: bool) -> Bracket:
+    """Return the bracket of the first change to `expected` after a frame.
 
     Args:
         states: The states at the frames at which they are known.
         after: The frame.
-        wanted: State after the change.
+        expected: State after the change.
 
     Returns:
         The bracket.
     """
     low = after
     for frame in sorted(frame for frame in states if frame > after):
-        if states[frame] is wanted:
+        if states[frame] is expected:
             return Bracket(low, frame, after)
         low = frame
     return Bracket(low, None, after)

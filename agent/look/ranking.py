@@ -1,7 +1,7 @@
 """Bindings of a plan: which people are the nodes of the plan, ordered by the evidence of the plan's parts.
 
 The evidence of a part is the log-odds that these people are meant, not that any people are. A condition that holds for
-many people tells little if it holds, and much if it does not. Tables of evidence come from readings
+many people is weak evidence if it holds, and strong evidence if it does not. Tables of evidence come from readings
 (`evidence_tables`) or from statements over the world model; `join` combines them.
 """
 
@@ -23,10 +23,10 @@ BEAM: Final = 32
 """Maximum number of bindings that are kept after each node."""
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
-"""Prior share of people for whom a condition is true (1), and of pairs for whom an edge is true (2)."""
+"""Prior probability of a condition of a person (1), and of an edge of a pair (2)."""
 
 _RARELY: Final = 0.03
-"""Prior share of people for whom one of the many actions, objects or interactions is true."""
+"""Prior probability of one of the many actions, objects or interactions."""
 
 _CLOSED: Final = frozenset({"gender", "age", "pose", "sector", "distance", "group_size"})
 
@@ -44,7 +44,7 @@ class PlanPart(NamedTuple):
 
     @property
     def often(self) -> float:
-        """The prior share of people or pairs for whom the part is true."""
+        """Prior probability of the part."""
         rare = len(self.nodes) == 1 and topic_of(self.name, self.value) not in _CLOSED
         return _RARELY if rare else _HOLDS[len(self.nodes)]
 
@@ -57,7 +57,7 @@ class PlanPart(NamedTuple):
     def evidence(self, log_odds: float) -> float:
         """Return the log-odds that these people are meant, from the log-odds that the part holds for them."""
         evidence = -math.log(self.often + (1 - self.often) * math.exp(-log_odds))
-        # Each person has a first person beside, so this edge does not tell who the source is.
+        # Each person has a first person beside, so this edge is no evidence for the source.
         return evidence + math.log(self.often) if self.name in FIRST else evidence
 
 
@@ -185,7 +185,7 @@ def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]
                         if source is not None and target is not None:
                             total += pairs.get((index, source, target), edges[index].evidence(0.0))
                     grown.append((total, nodes))
-        # The graph rounds sums to nine decimals. Coarser rounding keeps the order of equal bindings.
+        # Because the graph stores rounded sums, evidence that differs less is equal.
         order = sorted(grown, key=lambda binding: (-round(binding[0], 6), *binding[1].values()))
         beam = _with_each(order, node) or beam
     return tuple(
@@ -203,8 +203,8 @@ def _with_each(order: Sequence[tuple[float, dict[str, str]]], node: str) -> list
 
 def _margin(beam: Sequence[tuple[float, dict[str, str]]], target: str, index: int) -> float:
     log_odds, bound = beam[index]
-    others = [other for other, people in beam if people.get(target) != bound.get(target)]
-    return log_odds - max(others, default=-math.inf)
+    rivals = [odds for odds, people in beam if people.get(target) != bound.get(target)]
+    return log_odds - max(rivals, default=-math.inf)
 
 
 def absence_evidence(tracks: Tracks, entity: str, frame: int) -> float:

@@ -46,7 +46,7 @@ def expected_place(readings: Sequence[PersonReading], frame: int) -> ExpectedPla
         The angle with its uncertainty.
     """
     # If a frame has several readings, the last reading that shows the person whole counts.
-    by_frame = {reading.frame: reading for reading in sorted(readings, key=lambda one: (one.frame, one.whole))}
+    by_frame = {reading.frame: reading for reading in sorted(readings, key=lambda item: (item.frame, item.whole))}
     near = sorted(by_frame, key=lambda at: (abs(at - frame), at))
     first = near[0]
     gap = abs(first - frame)

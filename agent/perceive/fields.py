@@ -1,8 +1,8 @@
 """Fields of a person: what a model is asked about each person of a picture, and how its reply is read.
 
-Closed attributes, such as the posture, are asked by all their labels. Statements, such as actions and relations, stand
-among statements that the plan does not need, so that a model that agrees with everything gains nothing. "no" is
-evidence; "cannot tell" is not.
+Closed attributes, such as the posture, are asked by all their labels. Statements, such as actions and relations, are
+mixed with statements that the plan does not need, so that a model that agrees with everything gains nothing. "no" is
+evidence; `CANNOT_TELL` is not.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _OTHERS: Final = {
     "object": tuple(f"{verb}: {thing}" for verb in _HANDLING for thing in OBJECTS),
     "relation": tuple(label for label in QUESTION_RELATIONS if label not in DERIVED),
 }
-"""Statements that may stand beside the statements that a plan needs."""
+"""Statements that fields ask for beside the statements that a plan needs."""
 
 _TAKEN: Final = frozenset({*ATTRIBUTES, *_LABELS, *_OTHERS})
 """Names of attributes that are never free."""
@@ -142,8 +142,8 @@ def _at_frames(plan: Plan, changes: Mapping[str, int]) -> Plan:
         name: Time(frame=changes.get(name, (plan.times[time.after or ""].frame or 0) + _AWAY))
         for name, time in events.items()
     }
-    known = msgspec.structs.replace(plan, times=plan.times | frames)
-    moments = {name: Time(frame=_frame(known, name)) for name, time in plan.times.items() if time.is_moment}
+    dated = msgspec.structs.replace(plan, times=plan.times | frames)
+    moments = {name: Time(frame=_frame(dated, name)) for name, time in plan.times.items() if time.is_moment}
     times = plan.times | moments | {f"{name}_frame": time for name, time in frames.items()}
     if not events:
         return msgspec.structs.replace(plan, times=times)
@@ -196,8 +196,8 @@ def fields_of(plan: Plan, choices: Sequence[str] = ()) -> tuple[Field, ...]:
     if plan.answer.read == "action":
         needed |= dict.fromkeys(_offered(choices))
     for field in [field for field in needed if field.value]:
-        rest = [other for value in _OTHERS[field.name] if (other := field._replace(value=value)) not in needed]
-        needed |= dict.fromkeys(sorted(rest, key=lambda other: _shuffled(plan, other))[:1])
+        rest = [extra for value in _OTHERS[field.name] if (extra := field._replace(value=value)) not in needed]
+        needed |= dict.fromkeys(sorted(rest, key=lambda extra: _shuffled(plan, extra))[:1])
     order = sorted((field for field in needed if field.value), key=lambda field: _shuffled(plan, field))
     return (*(field for field in needed if not field.value), *order)
 
@@ -207,11 +207,11 @@ def _needed(plan: Plan) -> Iterator[Field]:
     # Gender and age are always read, because people are recognized by them.
     yield Field("labels", "gender")
     yield Field("labels", "age")
-    wanted = [condition.wanted for node in plan.nodes for condition in node.conditions]
-    wanted += [] if answer.attribute is None else [(answer.attribute, "")]
-    wanted += [("group_size", "") for time in plan.times.values() if time.is_group_event]
-    wanted += [("action", time.action) for time in plan.times.values() if time.action is not None]
-    for name, value in wanted:
+    needs = [condition.wanted for node in plan.nodes for condition in node.conditions]
+    needs += [] if answer.attribute is None else [(answer.attribute, "")]
+    needs += [("group_size", "") for time in plan.times.values() if time.is_group_event]
+    needs += [("action", time.action) for time in plan.times.values() if time.action is not None]
+    for name, value in needs:
         if name == "group_size":
             yield Field("relation", "relation", SAME_GROUP)
         elif name == "distance":
@@ -248,7 +248,7 @@ def _shuffled(plan: Plan, field: Field) -> str:
 
 def read_person(
     value: object,
-    number: int,
+    index: int,
     numbers: Mapping[str, int],
     fields: Sequence[Field],
     name: str,
@@ -261,7 +261,7 @@ def read_person(
 
     Args:
         value: The person: an object with a box and all fields.
-        number: Number of the person in the picture.
+        index: Number of the person in the picture.
         numbers: Numbers of the people of the same call, by id.
         fields: The fields.
         name: Name of the picture's observation.
@@ -286,11 +286,11 @@ def read_person(
         if field.kind == "metres":
             metres = _read_metres(part[field.key], field.key)
         elif field.kind == "relation":
-            ties += _read_ties(part[field.key], field, number, numbers)
+            ties += _read_ties(part[field.key], field, index, numbers)
         elif (label := read_label(field, part[field.key])) is not None:
             labels.append(label)
     whole = box.x > 0 and box.x + box.w < size[0]
-    return PersonReading(name, number, frame, from_crop(box, left), tuple(labels), tuple(ties), metres, whole)
+    return PersonReading(name, index, frame, from_crop(box, left), tuple(labels), tuple(ties), metres, whole)
 
 
 def read_label(field: Field, value: object) -> ReadLabel | None:
@@ -301,7 +301,7 @@ def read_label(field: Field, value: object) -> ReadLabel | None:
         value: The value in the reply.
 
     Returns:
-        The label, or None for "cannot tell".
+        The label, or None for `CANNOT_TELL`.
 
     Raises:
         DecodeError: If the value is not permitted.
@@ -330,13 +330,13 @@ def _read_metres(value: object, key: str) -> float | None:
     return metres
 
 
-def _read_ties(value: object, field: Field, number: int, numbers: Mapping[str, int]) -> Iterator[ReadTie]:
+def _read_ties(value: object, field: Field, index: int, numbers: Mapping[str, int]) -> Iterator[ReadTie]:
     """Yield for each other person of the call whether the relation leads to that person."""
     if value is None:
         return
     if not isinstance(value, list) or any(not isinstance(item, str) or item not in numbers for item in value):
         raise DecodeError(f"{field.key} must be a list of ids of people of the same call, or null")
     named = {numbers[item] for item in value}
-    for other in numbers.values():
-        if other != number:
-            yield ReadTie(field.value, other, other in named)
+    for partner in numbers.values():
+        if partner != index:
+            yield ReadTie(field.value, partner, partner in named)

@@ -1,7 +1,7 @@
-"""Where people stand, derived from their boxes at one frame: facts that are true, false or unknown (None).
+"""Places of people at one frame, derived from their boxes: facts that are true, false or unknown (None).
 
-The words mean what they mean in questions (docs/definitions.md). A fact that somebody in a part of the circle that no
-look shows could change is unknown. Boxes are in stitched pixels; looks are those made at the frame of the boxes.
+The words have the meaning of questions (docs/definitions.md). A fact is unknown if an unseen person in a part of the
+circle that no look shows could change it. Boxes are in stitched pixels. All looks are looks at the frame of the boxes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from jrdb_avr.schema.panorama import (
     angle_of_column,
     center_angle,
     clockwise,
-    column_of_angle,
     crop_left,
 )
 from jrdb_avr.schema.relations import RELATIONS
@@ -33,17 +32,17 @@ Side = Literal["left", "right", ""]
 _RULES: Final = LoadRules()
 
 EDGE_DEG: Final = 5.0
-"""Whoever stands nearer to the edge of a look may not be recognized in it."""
+"""Minimum degrees between a person and the edge of a look that surely shows the person."""
 
 FIRST: Final = frozenset(label for label, row in RELATIONS.items() if row.kind == "first")
-"""The relations that lead from everybody to one person."""
+"""Relations that lead from each person to one person."""
 
 DERIVED: Final = FIRST | {label for label, row in RELATIONS.items() if row.kind == "window"}
-"""The relations that boxes decide."""
+"""Relations that boxes decide."""
 
 
 class SeenColumns(NamedTuple):
-    """Columns [left, left + width) of the panorama that a look shows, over the seam where they pass it."""
+    """Columns [left, left + width) of the panorama that a look shows. They may pass the seam."""
 
     left: float
     width: float
@@ -57,7 +56,7 @@ class Arc(NamedTuple):
 
     @property
     def middle(self) -> float:
-        """The panorama angle of its middle."""
+        """Panorama angle of the middle of the arc in degrees."""
         return (self.start + self.span / 2) % 360.0
 
 
@@ -66,56 +65,53 @@ CIRCLE: Final = Arc(0.0, 360.0)
 
 
 def seen_from(angle_deg: float) -> SeenColumns:
-    """The columns of a look at an angle."""
+    """Return the columns of a look at a panorama angle in degrees."""
     return SeenColumns(crop_left(angle_deg), CROP)
 
 
 def around(angle_deg: float, reach_deg: float) -> Arc:
-    """The arc of the angles at most so far from one."""
+    """Return the arc of all angles that are at most `reach_deg` degrees from an angle."""
     return Arc((angle_deg - reach_deg) % 360.0, 2 * reach_deg)
 
 
 def gaps(looks: Iterable[SeenColumns], arc: Arc) -> list[Arc]:
-    """The parts of an arc that no look shows, clockwise."""
-    seen: list[tuple[float, float]] = []
+    """Return the parts of an arc that no look shows.
+
+    Args:
+        looks: Columns of the looks.
+        arc: The arc.
+
+    Returns:
+        The parts, clockwise.
+    """
+    shown: list[tuple[float, float]] = []
     for look in looks:
         begin = clockwise(arc.start, angle_of_column(look.left))
         width = look.width * 360.0 / WIDTH
-        # An arc that begins inside the look meets its second part as well.
-        seen += [(begin, begin + width), (begin - 360.0, begin + width - 360.0)]
-    found, reached = [], 0.0
-    for begin, end in sorted(seen):
+        # Because an arc may begin inside a look, the look counts again one turn earlier.
+        shown += [(begin, begin + width), (begin - 360.0, begin + width - 360.0)]
+    unseen, reached = [], 0.0
+    for begin, end in sorted(shown):
         if begin > reached + SLACK and reached < arc.span - SLACK:
-            found.append(Arc((arc.start + reached) % 360.0, min(begin, arc.span) - reached))
+            unseen.append(Arc((arc.start + reached) % 360.0, min(begin, arc.span) - reached))
         reached = max(reached, end)
     if reached < arc.span - SLACK:
-        found.append(Arc((arc.start + reached) % 360.0, arc.span - reached))
-    return found
+        unseen.append(Arc((arc.start + reached) % 360.0, arc.span - reached))
+    return unseen
 
 
 def covered(looks: Iterable[SeenColumns], arc: Arc = CIRCLE) -> bool:
-    """Whether the looks together show the whole arc."""
+    """Return whether looks together show a whole arc."""
     return not gaps(looks, arc)
 
 
-def joined_looks(looks: Sequence[SeenColumns]) -> tuple[SeenColumns, ...]:
-    """What looks show together, as looks that do not overlap."""
-    unseen = gaps(looks, CIRCLE)
-    if not unseen:
-        return (SeenColumns(0.0, WIDTH),)
-    ends = [(gap.start + gap.span) % 360.0 for gap in unseen]
-    spans = [clockwise(end, after.start) for end, after in zip(ends, (*unseen[1:], unseen[0]), strict=True)]
-    shown = zip(ends, spans, strict=True)
-    return tuple(SeenColumns(column_of_angle(end), span * WIDTH / 360.0) for end, span in shown if span > SLACK)
-
-
 def angle_of(box: Box) -> float:
-    """Panorama angle of the middle of a box."""
+    """Return the panorama angle of the middle of a box in degrees."""
     return center_angle(box.x, box.w)
 
 
 def clear_size(box: Box) -> bool:
-    """Whether a box has the size and rows of a clear view."""
+    """Return whether a box has the size and the rows of a clear view."""
     wide = _RULES.clear_min_width <= box.w <= _RULES.clear_max_width
     return wide and box.h >= _RULES.clear_min_height and box.y >= 0 and box.y + box.h <= HEIGHT
 
@@ -124,7 +120,7 @@ def clear_size(box: Box) -> bool:
 
 
 def in_sector(angle_deg: float, word: str) -> Truth:
-    """Whether somebody at this angle stands in the robot's sector of this word."""
+    """Return whether a panorama angle in degrees is in a sector of the robot, which is given by its word."""
     off = angle_error(angle_deg, ROBOT_SECTORS[word])
     if off <= _RULES.sector_true_deg + SLACK:
         return True
@@ -132,25 +128,25 @@ def in_sector(angle_deg: float, word: str) -> Truth:
 
 
 def at_distance(metres: float, word: str) -> Truth:
-    """Whether a distance is that of a distance word; unknown where two words may be right."""
+    """Return whether a distance has a distance word. The result is unknown if two words may be right."""
     margin = _RULES.distance_margin
     lows = (-1.0, *(bound * (1 - margin) - SLACK for bound in DISTANCE_BOUNDS_M))
     highs = (*(bound * (1 + margin) + SLACK for bound in DISTANCE_BOUNDS_M), float("inf"))
-    words = [one for one, low, high in zip(DISTANCE_WORDS, lows, highs, strict=True) if low <= metres <= high]
-    return word in words and (True if len(words) == 1 else None)
+    possible = [label for label, low, high in zip(DISTANCE_WORDS, lows, highs, strict=True) if low <= metres <= high]
+    return word in possible and (True if len(possible) == 1 else None)
 
 
 # -- of two people ----------------------------------------------------------------------------------------------------
 
 
 def turn_to(source: Box, target: Box, side: Side) -> float:
-    """Degrees, [0, 360), from the middle of one box to that of another, turning to this side."""
+    """Return the degrees in [0, 360) from the middle of one box to the middle of another, turning to a side."""
     turn = clockwise(angle_of(source), angle_of(target))
     return -turn % 360.0 if side == "left" else turn
 
 
 def within_degrees(source: Box, target: Box, degrees: float, side: Side) -> Truth:
-    """Whether the target is at most so far to one side of the source, as the robot sees it."""
+    """Return whether the target is at most `degrees` to one side of the source, as the robot sees them."""
     margin, turn = _RULES.neighbor_margin_deg, turn_to(source, target, side)
     if min(turn, 360.0 - turn) <= margin or abs(turn - degrees) <= margin:
         return None
@@ -187,7 +183,7 @@ def first_beside(boxes: Mapping[str, Box], source: str, side: Side, looks: Seque
 
 
 def _seen_on(source: Box, turned: Arc, side: Side, looks: Iterable[SeenColumns]) -> bool:
-    """Whether looks show an arc that is given in degrees turned from the source to a side."""
+    """Return whether looks show an arc that is given in degrees from the source to a side."""
     return covered(looks, _absolute(source, turned, side))
 
 
@@ -219,7 +215,7 @@ def standing(relation: str, boxes: Mapping[str, Box], source: str, looks: Sequen
 
 
 def deciding_arc(relation: str, source: Box) -> Arc:
-    """The part of the circle in which whoever the relation leads to from the source can stand."""
+    """Return the part of the circle in which a relation permits its target, given the box of its source."""
     row = RELATIONS[relation]
     if relation not in DERIVED:
         return CIRCLE

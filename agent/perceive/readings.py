@@ -16,10 +16,10 @@ USUAL: Final = 0.9
 """Confidence of a reading if the model states none."""
 
 LEAST_SIDE: Final = 0.1
-"""Pixels that a box must measure at least: sizes are compared by their ratios and areas, which smaller ones upset."""
+"""Minimum width and height of a box in pixels."""
 
 _MOST_DIGITS: Final = 5
-"""Of a number of people."""
+"""Maximum number of digits of a people count."""
 
 _WORDS: Final[dict[str, frozenset[str]]] = {
     "gender": frozenset(GENDERS),
@@ -33,16 +33,20 @@ _WORDS: Final[dict[str, frozenset[str]]] = {
 
 
 def is_value(name: str, value: str) -> bool:
-    """Whether an attribute may have a value: one of its labels, a number of people, or any text of a free attribute."""
+    """Return whether an attribute may have a value. A free attribute may have any text."""
     if name == "group_size":
         return value.isdecimal() and len(value) <= _MOST_DIGITS
     return value in _WORDS[name] if name in _WORDS else bool(value)
 
 
 class ReadLabel(NamedTuple):
-    """One attribute of a person as it was read: name and value as `Condition.wanted` writes them.
+    """One attribute of a person as it was read, with name and value as `Condition.wanted` writes them.
 
-    holds: False where the reader says that it is not so; confidence: of the reader in this, from 0.5 to 1.
+    Attributes:
+        name: Name of the attribute.
+        value: Value of the attribute.
+        holds: False if the reader denies the value.
+        confidence: Confidence of the reader, from 0.5 to 1.
     """
 
     name: str
@@ -57,7 +61,14 @@ class ReadLabel(NamedTuple):
 
 
 class ReadTie(NamedTuple):
-    """A relation that was read: it leads from the person to another one of the same picture, given by number."""
+    """A relation from a person to another person of the same picture, as it was read.
+
+    Attributes:
+        relation: Name of the relation.
+        other: Number of the other person in the picture.
+        holds: False if the reader denies the relation.
+        confidence: Confidence of the reader, from 0.5 to 1.
+    """
 
     relation: str
     other: int
@@ -69,9 +80,17 @@ class ReadTie(NamedTuple):
 class PersonReading:
     """One person in one picture, as a model read it.
 
-    observation: the picture's name; number: of the person among those read in it; box: stitched pixels; whole: whether
-    the picture shows the box from side to side; metres: the distance from the robot as read. Raises DecodeError for a
-    label outside the vocabularies and for a box that is thinner than `LEAST_SIDE`.
+    DecodeError is raised for a label outside the vocabularies, and for a box that is smaller than `LEAST_SIDE`.
+
+    Attributes:
+        observation: Name of the picture.
+        number: Number of the person in the picture.
+        frame: Frame of the picture.
+        box: Box in stitched pixels.
+        labels: Attributes.
+        ties: Relations to other people of the picture.
+        metres: Distance from the robot in metres, None if it was not read.
+        whole: Whether no edge of the picture cuts the box.
     """
 
     observation: str
@@ -84,6 +103,7 @@ class PersonReading:
     whole: bool = True
 
     def __post_init__(self) -> None:
+        """Check the box and the labels."""
         if not (self.box.w >= LEAST_SIDE and self.box.h >= LEAST_SIDE):
             raise DecodeError("a box has a width and a height")
         for label in self.labels:
@@ -95,17 +115,17 @@ class PersonReading:
 
     @property
     def angle(self) -> float:
-        """Panorama angle of the middle of the box."""
+        """Panorama angle of the middle of the box in degrees."""
         return angle_of(self.box)
 
 
 def topic_of(name: str, value: str) -> str:
-    """The question that an attribute with this value answers: "pose" for all postures, "gender", "action reading"."""
+    """Return the question that an attribute answers: "pose" for all postures, "gender", "action reading"."""
     if name == "action" and value in POSES:
         return "pose"
     return f"{name} {value}" if name in ("action", "object", "interaction") else name
 
 
 def has_one_value(topic: str) -> bool:
-    """Whether the values of a topic exclude each other."""
+    """Return whether the values of a topic exclude each other."""
     return " " not in topic

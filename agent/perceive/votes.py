@@ -176,24 +176,24 @@ class Tracks:
         at = self.nearest_looked(frame)
         if not any(relation == SAME_GROUP for _, relation, _ in self._tie_votes):
             return self._support(self._votes(entity, "group_size", str(size)), frame)
-        known = len(self._group(entity, at))
-        if not self.readings_at(entity, at) or (known < size and not covered(self.looks.get(at, ()))):
+        count = len(self._group(entity, at))
+        if not self.readings_at(entity, at) or (count < size and not covered(self.looks.get(at, ()))):
             return Support()
         # If a group looks too small, a member may be hidden.
-        vote = UNIT if known == size else -UNIT if known > size or size == 1 else -UNIT / 2
+        vote = UNIT if count == size else -UNIT if count > size or size == 1 else -UNIT / 2
         return self._support([(at, vote)], frame)
 
     def _group(self, entity: str, frame: int) -> set[str]:
-        """Return the person and all people whom relations of one group join to the person at a frame."""
+        """Return the person and all people that relations of one group join to the person at a frame."""
         if (entity, frame) not in self._groups:
-            present = [other for other in self.people if self.readings_at(other, frame)]
+            present = [partner for partner in self.people if self.readings_at(partner, frame)]
             group, fresh = {entity}, [entity]
             while fresh:
                 member = fresh.pop()
                 joined = [
-                    other
-                    for other in present
-                    if other not in group and self._tie(member, SAME_GROUP, other, frame).log_odds > 0
+                    partner
+                    for partner in present
+                    if partner not in group and self._tie(member, SAME_GROUP, partner, frame).log_odds > 0
                 ]
                 group.update(joined)
                 fresh += joined
@@ -271,7 +271,7 @@ class Tracks:
 
     def nearest_looked(self, frame: int) -> int:
         """Return the frame with a look that is nearest to a frame; the frame itself if there are no looks."""
-        return min(self.looks, key=lambda other: (abs(other - frame), other), default=frame)
+        return min(self.looks, key=lambda at: (abs(at - frame), at), default=frame)
 
     # -- relations ------------------------------------------------------------------------------------------------
 
@@ -279,13 +279,13 @@ class Tracks:
         """Return the support for a relation at a frame.
 
         Args:
-            source: Person from whom the relation leads.
+            source: Person at the start of the relation.
             relation: Name of the relation.
-            target: Person to whom the relation leads.
+            target: Person at the end of the relation.
             frame: The frame.
 
         Returns:
-            The support by boxes if boxes decide the relation, else by readings of either person. Two people whom no
+            The support by boxes if boxes decide the relation, else by readings of either person. Two people that no
             picture shows together are of one group if other people join them.
         """
         at = self.nearest_looked(frame)

@@ -14,14 +14,12 @@ from jrdb_avr.agent.perceive.geometry import (
     Arc,
     SeenColumns,
     angle_of,
-    around,
     at_distance,
     covered,
     deciding_arc,
     first_beside,
     gaps,
     in_sector,
-    joined_looks,
     seen_from,
     standing,
 )
@@ -148,15 +146,3 @@ def test_the_deciding_arc_is_where_the_target_can_stand():
     assert deciding_arc("conversation", source) == CIRCLE
     assert deciding_arc(FIRST_RIGHT, source).middle == 90.0
     assert {RELATIONS[label].kind for label in DERIVED} == {"first", "window"}
-
-
-@given(st.lists(st.floats(0, 359), min_size=1, max_size=12), st.floats(0, 359))
-def test_joined_looks_show_what_the_looks_show_each_column_once(angles, angle):
-    looks = [seen_from(one) for one in angles]
-    joined = joined_looks(looks)
-    point = around(angle, 0.5)
-    if covered(looks, around(angle, 0.6)):
-        assert covered(joined, point)
-    if covered(joined, around(angle, 0.6)):
-        assert covered(looks, point)
-    assert sum(covered([one], around(angle, 0.6)) for one in joined) <= 1
