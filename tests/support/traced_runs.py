@@ -26,7 +26,7 @@ def entity(name, number, step):
 
 def sighted(name, write, step, frame, x):
     row = (f"e/{name}", "e/o1", "e", write, step, frame)
-    return SightingRow(*row, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360, True, -1.0)
+    return SightingRow(*row, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360, whole=True, number=1, metres=-1.0)
 
 
 def has(name, write, step, value, frame):
@@ -110,7 +110,7 @@ def decided_run(store, frame):
         ("tool", json.dumps({"tool": "final_answer", "entity": HOSTILE}), json.dumps(f"refused: {HOSTILE}")),
         ("solve", '{"accepted":false}', json.dumps(DECISION)),
     ]
-    slot = SlotRow("e/0", "e", 0, "condition", "a", "", "gender", HOSTILE, "gender", "model", "", 0, 0.4)
+    slot = SlotRow("e/0", "e", 0, 0, "condition", "a", "", "gender", HOSTILE, "gender", "model", "", 0, 0.4)
     plan = Fact(slots=(slot,))
     own = {"number": 6, "step": 0, "tool": "plan", "arguments": json.dumps(PLAN), "accepted": True, "reason": ""}
     rows = [*world_rows(frame), own | {"fact": msgspec.json.encode(plan).decode()}]

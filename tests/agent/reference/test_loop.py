@@ -122,6 +122,9 @@ def test_an_unsupported_answer_is_refused_once(world, proposed):
     assert decision["bindings"][0]["nodes"] == {"a": "p1"}
     assert decision["parts"][0]["part"] == "a gender female"
     assert (decision["conclusion"]["entity"], decision["proposed"]) == ("p1", {"choice": proposed["answer"]})
+    slots, pairs = decision["statements"]
+    assert {row["entity"] for row in slots["rows"]} == {one["nodes"]["a"] for one in decision["bindings"]}
+    assert (slots["name"], pairs["rows"]) == ("reads/world/slots.cypher", [])
 
 
 def test_a_refused_answer_names_the_best_look(world):
@@ -229,7 +232,12 @@ def test_single_facts_count_like_a_batch(world):
     facts = [entity(), entity("p2", box=RIGHT_BOX), attribute("gender", "female"), attribute("pose", "standing")]
     facts += [attribute("gender", "male", "p2"), attribute("pose", "sitting", "p2"), relation()]
     single = play([PAIR, turn(look()), turn(*facts), "x"], world=world)
-    assert results_of(text_of(single.requests[3])) == [f"{fact['tool']}: done" for fact in facts]
+    done = [f"{fact['tool']}: done" for fact in facts[2:]]
+    assert results_of(text_of(single.requests[3])) == [
+        "add_entity: o1: p1 written",
+        "add_entity: o1: p2 written",
+        *done,
+    ]
     assert world_of(single)["likely"] == world_of(batch)["likely"]
     assert world_of(single)["supported"] == world_of(batch)["supported"]
 
@@ -278,6 +286,8 @@ def test_the_graph_chooses_the_look_after_the_writes_of_the_turn(world):
     advised = line_of(text_of(game.requests[1]), "Looks")
     assert [float(pictures[0].split()[-1])] == pytest.approx([advised[0]["angle_deg"]], abs=0.1)
     assert all(set(one) == {"frame_id", "angle_deg", "reason"} for one in advised) and len(advised) <= 3
+    due = json.loads(next(step.response for step in game.steps if step.kind == "solve"))
+    assert [one["frame_id"] for one in due] == ["000150"] * 2 and all(one["reason"] for one in due)
 
 
 def test_without_advice_a_look_needs_frame_and_angle(world):
