@@ -12,10 +12,9 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.look.moments import Bracket, absence, brackets, change, postures
+from jrdb_avr.agent.look.moments import Bracket, absence, brackets, postures
 from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, frames_of, slot_supports
 from jrdb_avr.agent.perceive.expectation import expected_place
-from jrdb_avr.agent.perceive.geometry import around, covered
 from jrdb_avr.agent.perceive.readings import is_value
 from jrdb_avr.agent.perceive.votes import CERTAIN, UNIT, SlotState, Tracks
 from jrdb_avr.schema.answer_modes import MODES
@@ -38,9 +37,6 @@ CLEAR_HEIGHT: Final = 80.0
 
 DISTANCE_CUT_M: Final = 1.0
 """Change of distance in metres below which a person stays at the same distance."""
-
-_BESIDE_DEG: Final = 10.0
-"""Degrees beside the expected angle that a look must show for an unseen person to be absent."""
 
 _LIKELY_S: Final = 10.0
 """Seconds between two events if one of them was not seen."""
@@ -346,27 +342,7 @@ class _Reader:
         return min(self.frames, key=lambda at: (abs(at - frame), at))
 
     def _bracket(self, index: int) -> Bracket | None:
-        name = self.plan.answer.times[index]
-        bracket = brackets(self.plan, self.tracks, self.entity).get(name)
-        return (
-            bracket if bracket is not None and bracket.high is not None else self._likely_absence().get(name, bracket)
-        )
-
-    def _likely_absence(self) -> dict[str, Bracket]:
-        """Return when a person leaves and returns, if a person who is not at the expected place is absent."""
-        times = {self.plan.times[name].event: name for name in self.plan.answer.times}
-        if "leaves" not in times or "returns" not in times:
-            return {}
-        leaves = change(self._presences(), self._began(0), expected=False)
-        if leaves.high is None:
-            return {times["leaves"]: leaves}
-        return {times["leaves"]: leaves, times["returns"]: change(self._presences(), leaves.high, expected=True)}
-
-    def _presences(self) -> dict[int, bool]:
-        """Return whether the person was seen, at the frames at which a look shows the expected place."""
-        readings, looks = self.tracks.people[self.entity], self.tracks.looks
-        arcs = {at: around(expected_place(readings, at).angle, _BESIDE_DEG) for at in looks}
-        return {at: bool(self.tracks.readings_at(self.entity, at)) for at in looks if covered(looks[at], arcs[at])}
+        return brackets(self.plan, self.tracks, self.entity).get(self.plan.answer.times[index])
 
 
 def _weakest(states: Iterable[SlotState]) -> SlotState:

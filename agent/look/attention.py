@@ -17,7 +17,7 @@ from typing import Final, Literal, NamedTuple
 from jrdb_avr.agent.look.moments import Bracket, brackets, presence
 from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
 from jrdb_avr.agent.perceive.expectation import expected_place
-from jrdb_avr.agent.perceive.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
+from jrdb_avr.agent.perceive.geometry import CIRCLE, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.perceive.readings import USUAL
 from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.labels import ROBOT_SECTORS, answer_of_choice
@@ -61,12 +61,6 @@ _RIVALS: Final = 8
 
 _ASIDE_DEG: Final = 12.0
 """Angle in degrees by which a look may be turned aside from one person to show other people too."""
-
-_BESIDE: Final = 0.3
-"""Probability that the target of a relation is on one side of the source, and near."""
-
-_LEAST_NEW: Final = 0.2
-"""Minimum share of a side that a look must show for the first time together with the source."""
 
 _ANSWER_BITS: Final = 2.0
 _OVERLAP_DEG: Final = 6.0
@@ -270,7 +264,6 @@ class _Attention:
                     bits[key] = bits.get(key, 0.0) + max(_learned(chance), chance * _learned(0.5))
         for frame in dict.fromkeys(frame for _, frame in bits):
             yield from self._views(frame, {entity: gain for (entity, at), gain in bits.items() if at == frame})
-        yield from self._together()
 
     def _views(self, frame: int, bits: Mapping[str, float]) -> Iterator[NextLook]:
         """Yield looks at people who are worth these bits. One look may show several of them."""
@@ -286,24 +279,6 @@ class _Attention:
             shown = [name for name, at in angles.items() if angle_error(angle, at) < FOV_DEG / 2 - EDGE_DEG]
             reason = f"parts of the plan are open for {', '.join(shown)}"
             yield NextLook(frame, angle % 360.0, "verify", sum(bits[name] for name in shown), reason)
-
-    def _together(self) -> Iterator[NextLook]:
-        """Yield looks that show the source of a relation together with the people beside it."""
-        for part, support in slot_supports(self.plan, self.tracks, self.hypotheses[0]) if self.hypotheses else ():
-            if len(part.nodes) < 2 or part.name in DERIVED or support.log_odds > 0:
-                continue
-            entity, frame = self.hypotheses[0].nodes.get(part.nodes[0], ""), self.legal(part.frame or 0)
-            if not self.tracks.readings_at(entity, frame):
-                continue
-            angle, half = self._angle(entity, frame), FOV_DEG / 2 - EDGE_DEG
-            shown = [look for look in self.tracks.looks.get(frame, ()) if covered([look], around(angle, EDGE_DEG))]
-            for turn in (half, -half):
-                side = Arc((angle + min(0.0, 2 * turn)) % 360.0, 2 * half)
-                new = sum(gap.span for gap in gaps(shown, side)) / side.span
-                if new > _LEAST_NEW:
-                    bits = new * _ANSWER_BITS * _learned(_BESIDE)
-                    reason = f"{part.nodes[1]} may be beside {entity}"
-                    yield NextLook(frame, (angle + turn) % 360.0, "verify", bits, reason)
 
     # -- the answer -----------------------------------------------------------------------------------------------
 

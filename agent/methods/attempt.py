@@ -406,9 +406,8 @@ class Attempt:
         Returns:
             The prediction. It is invalid if a part is missing because that part could not be read.
         """
-        missing = parsed.answer is None or parsed.evidence is None
         return Prediction(
-            status="invalid" if parsed.faults and missing else "answered",
+            status="invalid" if parsed.faults and None in (parsed.answer, parsed.evidence) else "answered",
             answer=parsed.answer,
             evidence=parsed.evidence,
             raw=self.raw,

@@ -8,9 +8,9 @@ the same transcript.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import msgspec
 
@@ -18,9 +18,9 @@ from jrdb_avr.agent.look.attention import NextLook
 from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, Attempt, ParsedReply
 from jrdb_avr.agent.methods.requests import PANORAMAS, fixed_settings
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.turns import FINAL, MOST_CALLS, Call, Turn, View, printable, read_calls, view_of
+from jrdb_avr.agent.reference.world_memory import WorldMemory
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
 from jrdb_avr.schema.panorama import angle_error
@@ -63,43 +63,8 @@ LIMITS: Final = Limits()
 """Limits of the benchmark."""
 
 
-class Memory(Protocol):
-    """Memory of a variant: a world model, or a chat history."""
-
-    @property
-    def tools(self) -> Collection[str]:
-        """The tools beside `observe`."""
-
-    @property
-    def advises(self) -> bool:
-        """Whether the memory knows which look to make next."""
-
-    def messages(self, turn: Turn) -> list[Message]:
-        """Return the messages of a turn."""
-
-    def replied(self, reply: Reply, readable: bool) -> None:
-        """Take the reply to the last messages."""
-
-    def schema(self, looks: bool) -> dict[str, Any]:
-        """Return the JSON Schema of a turn. `looks` says whether looks can be made."""
-
-    def name_view(self, observation: Observation | Panorama, step: int) -> str:
-        """Take an observation, and return its name."""
-
-    def refuse(self, call: Call, reason: str, step: int) -> None:
-        """Record a refused call."""
-
-    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
-        """Carry out a call, and return its result. Raise DecodeError if the call is refused."""
-
-    def due_looks(self, left: int) -> Sequence[NextLook]:
-        """Return the looks to make now, if `advises`."""
-
-    def finish(self, call: Call, views: Mapping[str, View], left: int, step: int) -> ParsedReply:
-        """Return the answer of the question. Raise DecodeError if the final answer is refused."""
-
-    def commit(self, reason: str, step: int) -> ParsedReply:
-        """Return the answer that counts if no final answer was accepted."""
+Memory = ChatMemory | WorldMemory
+"""Memory of a variant. It shows the turns, takes the writes, advises looks, and gives the answer."""
 
 
 @dataclass

@@ -231,13 +231,7 @@ _LABELS: Final = {"action": ACTIONS, "interaction": INTERACTIONS, "object": OBJE
 _VALUES: Final = {"gender": GENDERS, "age": AGES, "sector": tuple(ROBOT_SECTORS), "distance": DISTANCE_WORDS}
 """Values of attributes that have labels."""
 
-_AGE_WORDS: Final = {
-    "childhood": "child",
-    "adolescence": "teenager",
-    "young adulthood": "young",
-    "middle adulthood": "middle-aged",
-    "late adulthood": "elderly",
-}
+_AGE_PHRASES: Final = dict(zip(AGES, ("child", "teenager", "young", "middle-aged", "elderly"), strict=True))
 
 
 def vocabulary(question: str) -> str:
@@ -254,7 +248,7 @@ def vocabulary(question: str) -> str:
     near = functools.partial(_named, question)
     lines = {
         "gender": _listed(GENDERS),
-        "age": _listed(AGES, _AGE_WORDS.__getitem__),
+        "age": _listed(AGES, _AGE_PHRASES.__getitem__),
         "sector": _listed(ROBOT_SECTORS),
         "distance": _listed(DISTANCE_WORDS, lambda word: FAR_AWAY[word].rpartition("(")[2].rstrip(")")),
         "action, postures and movements": _listed(POSES, ACTION_PHRASES.__getitem__),
@@ -282,7 +276,7 @@ def _stems(text: str) -> set[str]:
 
 
 def _relations() -> str:
-    """List the relations. Interactions are not listed again, and an example stands for each kind with many labels."""
+    """List the relations. Interactions are not listed again, and each kind has an example with many labels."""
     rows = [RELATIONS[label] for label in QUESTION_RELATIONS]
     window = next(row.label for row in rows if row.kind == "window")
     near = dict.fromkeys(row.distance for row in rows if row.kind == "person")

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import Convention
-from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key
+from jrdb_avr.agent.model.decode import BOX_SCHEMA
 from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, SAME_PLACE, Field, read_label, read_person
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.reference.chat_memory import OBSERVATION_SCHEMA
@@ -54,18 +54,18 @@ def read_people(
         DecodeError: If the call names no observation, or has no list of at most `MOST_PEOPLE` people.
     """
     part = decode.only_keys(arguments, ("observation", "people"), "add_people")
-    view, listed = _view(part["observation"], views), part["people"]
-    if not isinstance(listed, list) or len(listed) > MOST_PEOPLE:
+    view, persons = _view(part["observation"], views), part["people"]
+    if not isinstance(persons, list) or len(persons) > MOST_PEOPLE:
         raise DecodeError(f'"people" must be a list of at most {MOST_PEOPLE} people')
     first = counts[view.name] + 1
     numbers: dict[str, int] = {}
-    for number, person in enumerate(listed, first):
+    for number, person in enumerate(persons, first):
         if isinstance(person, dict) and _is_name(person.get("id")):
             # If an id comes twice, relations name the first person with the id.
             numbers.setdefault(person["id"], number)
     people: People = []
     faults: list[tuple[object, str]] = []
-    for number, person in enumerate(listed, first):
+    for number, person in enumerate(persons, first):
         try:
             people.append(_read_person(person, number, numbers, view, fields, people, convention))
         except DecodeError as error:
@@ -96,28 +96,17 @@ def _read_person(
     return name, reading
 
 
-def read_entity(
-    arguments: Mapping[str, Any], views: Mapping[str, View], counts: Mapping[str, int], convention: Convention
-) -> tuple[str, PersonReading]:
-    """Read the call `add_entity`, which writes a person with a box and without fields.
+def listed(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the call `add_entity` as a call `add_people` for a person without fields.
 
     Args:
         arguments: The arguments of the call.
-        views: All observations by name.
-        counts: Number of people that were listed before, by observation.
-        convention: How the model writes boxes.
 
     Returns:
-        The id and the reading.
-
-    Raises:
-        DecodeError: If the call cannot be read.
+        The arguments of `add_people`.
     """
-    key = box_key(arguments, convention, "box")
-    part = decode.only_keys(arguments, ("id", "observation", key), "add_entity")
-    view, name = _view(part["observation"], views), _name(part["id"], "id")
-    number = counts[view.name] + 1
-    return name, read_person({key: part[key]}, number, {name: number}, (), *_origin(view), convention)
+    person = {key: value for key, value in arguments.items() if key != "observation"}
+    return {"observation": arguments.get("observation"), "people": [person]}
 
 
 def read_attribute(

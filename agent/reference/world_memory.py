@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -25,8 +25,8 @@ from jrdb_avr.agent.perceive.fields import CANNOT_TELL, Field
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.reference.tools import (
     GRAPH_TOOLS,
+    listed,
     read_attribute,
-    read_entity,
     read_people,
     read_relation,
     world_schema,
@@ -110,12 +110,12 @@ class WorldMemory:
         """
         self.world.begin_turn()
         self.shown += turn.views
-        views = view_parts(self.shown)
+        views, looks = view_parts(self.shown), self.advised_looks(turn.looks[1])
         parts: list[Part] = [
             self.heading,
             *(views if self.fixed else []),
             f"World: {compact_json(self._world())}",
-            *([f"Looks: {compact_json(self._looks(turn.looks[1]))}"] if self.advises else []),
+            *([f"Looks: {compact_json([_look(look) for look in looks])}"] if self.advises else []),
             turn.result_lines(),
             *([] if self.fixed else views),
             turn.state(),
@@ -161,16 +161,13 @@ class WorldMemory:
     def _people(self, most: int | None, first: Collection[str]) -> dict[str, str]:
         """Describe people by their last place. `first` are the people that come first, then the last seen."""
         tracks = self.world.tracks
-        order = sorted(tracks.people, key=lambda person: (person not in first, -self._last_step(person)))
+        last = {person: readings[-1] for person, readings in tracks.people.items()}
         people = {}
-        for person in order[:most]:
-            newest = tracks.people[person][-1]
+        for person in sorted(last, key=lambda person: (person not in first, -int(last[person].observation[1:])))[:most]:
+            newest = last[person]
             values = [tallies[0].value for topic in _TOPICS if (tallies := tracks.values(person, topic, None))]
             people[person] = ", ".join([*values, f"{newest.frame:06d} at {newest.angle:.0f}"])
         return people
-
-    def _last_step(self, person: str) -> int:
-        return int(self.world.tracks.people[person][-1].observation.removeprefix("o"))
 
     def _open(self, best: RankedHypothesis) -> list[str]:
         """Describe the parts of the plan that the best binding leaves open or contradicts."""
@@ -183,9 +180,6 @@ class WorldMemory:
         if conclusion is None:
             return None
         return {"answer": written_answer(conclusion.answer), "entity": conclusion.entity, "verdict": conclusion.verdict}
-
-    def _looks(self, left: int) -> list[dict[str, Any]]:
-        return [_look(look) for look in self.advised_looks(left)]
 
     # -- observations and writes --------------------------------------------------------------------------------------
 
@@ -217,49 +211,42 @@ class WorldMemory:
         if call.tool == "get_graph":
             decode.only_keys(call.arguments, (), "get_graph")
             return compact_json(self._people(None, ()))
+        result = "done"
         if call.tool == "add_people":
-            result = self._add_people(call, views, step)
+            result = self._add_people(call.arguments, self.fields, views, step)
         elif call.tool == "add_entity":
-            name, person = read_entity(call.arguments, views, self.counts, self.attempt.convention)
-            self._add(person.observation, [(name, person)], step)
-            self.counts[person.observation] += 1
-            result = "done"
+            result = self._add_people(listed(call.arguments), (), views, step)
         elif call.tool == "add_attribute":
-            entity, observation, label = read_attribute(call.arguments, views, self.fields)
-            self.world.add_attribute(entity, observation, label, step)
-            result = "done"
+            self.world.add_attribute(*read_attribute(call.arguments, views, self.fields), step)
         else:
-            source, observation, relation, target = read_relation(call.arguments, views, self.fields)
-            self.world.add_relation(source, observation, relation, target, step)
-            result = "done"
+            self.world.add_relation(*read_relation(call.arguments, views, self.fields), step)
         self._bindings = self._conclusion = None
         return result
 
-    def _add_people(self, call: Call, views: Mapping[str, View], step: int) -> str:
+    def _add_people(
+        self, arguments: Mapping[str, Any], fields: Sequence[Field], views: Mapping[str, View], step: int
+    ) -> str:
         """Write the people of a picture. A person with a fault is refused alone."""
         convention = self.attempt.convention
-        observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
+        observation, people, faults = read_people(arguments, views, fields, self.counts, convention)
         for name in [name for name, _ in people if self._is_written(name, observation)]:
             faults.append(({"id": name}, f"{name} already has a box in {observation}"))
             people = [entry for entry in people if entry[0] != name]
-        for person, reason in faults:
-            arguments = {"observation": observation, "people": [person]}
-            self.world.refuse("add_people", _stored(arguments), printable(reason), step)
         if faults and not people:
             raise DecodeError("; ".join(reason for _, reason in faults))
-        self._add(observation, people, step)
-        # The number of a refused person is not used again, because relations of other people may name it.
-        self.counts[observation] += len(people) + len(faults)
-        refused = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
-        return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{refused}"
-
-    def _is_written(self, entity: str, observation: str) -> bool:
-        return any(reading.observation == observation for reading in self.world.tracks.people.get(entity, ()))
-
-    def _add(self, observation: str, people: Sequence[tuple[str, Any]], step: int) -> None:
+        for person, reason in faults:
+            refused = _stored({"observation": observation, "people": [person]})
+            self.world.refuse("add_people", refused, printable(reason), step)
         self.world.add_people(observation, people, step)
         if not self.fixed:
             self.shown = [view for view in self.shown if view.name != observation]
+        # The number of a refused person is not used again, because relations of other people may name it.
+        self.counts[observation] += len(people) + len(faults)
+        ending = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
+        return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{ending}"
+
+    def _is_written(self, entity: str, observation: str) -> bool:
+        return any(reading.observation == observation for reading in self.world.tracks.people.get(entity, ()))
 
     # -- what the graph supports --------------------------------------------------------------------------------------
 
@@ -329,9 +316,6 @@ class WorldMemory:
             raise DecodeError("entity must be the id of the plan's target")
         conclusion = self._concluded()
         looks = self.advised_looks(left)
-        if conclusion is not None and any(look.purpose == "identify" for look in looks):
-            # A person whom no look has shown may fit as well.
-            conclusion = replace(conclusion, verdict="guess" if conclusion.verdict == "guess" else "supported")
         reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
             return self._answer(conclusion, self.proposed, "", step)

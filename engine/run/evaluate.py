@@ -182,8 +182,7 @@ def evaluate(
         answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
         if world is not None:
             # The counts are written before the tables, because a run with the table `predictions` counts as complete.
-            cpu_ms = round(1000 * sum(world.graph.seconds))
-            add_world_counts(store, run_id, {**world.graph.counts, "cpu_ms": cpu_ms})
+            add_world_counts(store, run_id, world.graph.counts | {"cpu_ms": round(1000 * sum(world.graph.seconds))})
             _merge_world(run)
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):

@@ -25,7 +25,7 @@ from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
-_KEYS: Final = ("run", "id", "episode", "source", "target", "observation", "freed")
+_KEYS: Final = ("run", "id", "episode", "source", "target", "look")
 """Fields of a fact (`schema.beliefs.Fact`) that hold the run id, or a text that begins with the run id."""
 
 

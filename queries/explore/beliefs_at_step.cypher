@@ -6,7 +6,7 @@
 MATCH (e:Episode)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Look:Entity)
 WHERE e.id = concat($run, '/', $question) AND r.origin = 'model' AND r.step <= $step
 WITH n.name AS entity, r.name AS name, CASE label(r) WHEN 'Has' THEN r.value ELSE m.name END AS value, r.frame AS frame,
-     min(r.step) AS since, sum(r.weight) AS weight
+     min(r.step) AS since, round(sum(r.weight), 9) AS weight
 WHERE weight > 0
 RETURN entity, name, value, frame, since, round(weight, 4) AS weight
 ORDER BY frame, since, weight, entity, name, value;

@@ -16,7 +16,7 @@ from jrdb_avr.agent.perceive.geometry import SeenColumns, covered, seen_from
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, validate
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, validate
 
 FRAMES = range(300)
 ALL = (SeenColumns(0, WIDTH),)
@@ -109,19 +109,6 @@ def test_the_last_looks_show_a_person_whole_whom_an_edge_cut():
     assert look(PRESENCE, cut, left=3).purpose == "follow"
     last = look(PRESENCE, cut, left=2)
     assert (last.purpose, last.frame, last.reason) == ("evidence", 15, "an edge cuts the box of p1")
-
-
-def test_whoever_a_relation_leads_from_is_shown_with_those_beside():
-    edge = Edge("a", "conversation", "b", "t0")
-    plan = Plan("a", "b", WOMAN.times, (*WOMAN.nodes, Node("b")), (edge,), WOMAN.answer)
-    alone = Tracks({**known_woman().people, "p2": (read(15, angle=130.0),) * 2}, {15: ALL})
-    crops = tuple(seen_from(angle) for angle in range(0, 360, 40))
-    tracks = Tracks(alone.people, {15: (*crops, *crops, *crops)})
-    made = [look(plan, tracks)]
-    tracks = Tracks(tracks.people, {15: (*tracks.looks[15], seen_from(made[0].angle))})
-    made.append(look(plan, tracks))
-    assert [one.purpose for one in made] == ["verify", "verify"]
-    assert sorted(round((one.angle - 100.0 + 180) % 360 - 180) for one in made) == [-18, 18]
 
 
 @pytest.mark.parametrize(
