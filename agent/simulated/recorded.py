@@ -21,7 +21,7 @@ from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, crop_left, iou
 
 _SAME: Final = 0.4
-"""Minimum IoU of a reading with the person whom it shows."""
+"""Minimum IoU of a reading with the person that it shows."""
 _TWICE: Final = 0.5
 """Minimum IoU of two readings of one person in two crops of a frame."""
 _NEAR_DEG: Final = 11.25
@@ -60,7 +60,7 @@ class RecordedReader(Reader):
         return tuple(sorted({each.identity: each for each in people}.values(), key=lambda person: person.box.x))
 
     def _read(self, stitched: Box, box: Box, pose: str | None, everyone: Sequence[Person]) -> ReadPerson:
-        """Return a reading as a person: the annotated one whom it overlaps most, or a false one."""
+        """Return a reading as a person: the annotated one with the largest overlap, or a false one."""
         poses = frozenset((pose,)) if pose in POSES else frozenset[str]()
         best = max(everyone, key=lambda person: iou(person.box, stitched), default=None)
         if best is None or iou(best.box, stitched) < _SAME:

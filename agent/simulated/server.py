@@ -217,7 +217,7 @@ def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
 
 
 def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
-    """Return the labels of the person whose box overlaps most with the box in a probe's text."""
+    """Return the labels of the person with the box that overlaps most with the box in a probe's text."""
     reference, box = next((part.jrdb_avr for part in parts if part.jrdb_avr is not None), None), _BOX.search(text)
     if reference is None or box is None:
         raise DecodeError("the request names no box, or its picture has no reference")
