@@ -53,7 +53,7 @@ class Believer:
 def run(store, run_id, asked=ASKED, finish=True, turns=6):
     """A run of the believer, which is merged into the store's graph if it is finished."""
     write_run_manifest(
-        store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
+        store, RunManifest(run_id, "agent", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
     )
     folder = store.run_path(run_id)
     with opened(segment_of(folder)) as journal:
