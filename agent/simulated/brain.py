@@ -33,7 +33,7 @@ from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, iou
 from jrdb_avr.schema.plan import Plan
 
 _SHOWN_DEG: Final = 12.0
-"""Maximum angle between a look and a person whom it shows well."""
+"""Maximum angle between a look and a person in it."""
 _TURN_DEG: Final = 1.5
 """Minimum angle between two looks at a frame, because equal looks are refused."""
 _Corners = tuple[float, float, float, float]
@@ -63,7 +63,7 @@ class Thought:
 
     @cached_property
     def hypotheses(self) -> tuple[RankedHypothesis, ...]:
-        """People whom the plan's nodes may be, the best first."""
+        """People who may be the plan's nodes, the best first."""
         return rank(self.plan, self.tracks)
 
     @property
@@ -72,7 +72,7 @@ class Thought:
         return self.request.frames or sorted({look.frame for look in self.request.looks})
 
     def next_look(self, left: int) -> NextLook | None:
-        """Return the look that tells most, or None if no look tells enough."""
+        """Return the look with the most expected bits, or None if no look is worth making."""
         return next(iter(next_looks(self.plan, self.tracks, self.hypotheses, left, self.frames, 1)), None)
 
     def conclude(self, target: str | None = None) -> Conclusion | None:

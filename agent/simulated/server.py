@@ -27,7 +27,7 @@ from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORA
 from jrdb_avr.agent.simulated.brain import STAGES
 from jrdb_avr.agent.simulated.noise import Draws, Reader, ReadPerson, View
 from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
-from jrdb_avr.agent.simulated.recorded import RecordedReader
+from jrdb_avr.agent.simulated.recorded import RecordedReader, load_readings
 from jrdb_avr.agent.simulated.requests import MessagePart, See, UserMessage, lines_of, read_request, view_of
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, tool_calls, user_turns, with_stage
@@ -64,7 +64,11 @@ class Server(ThreadingHTTPServer):
             sight: Annotated people of a store. Without it, the model passes only the checks of a server.
             errors: Errors of the model. None takes the profile that a request's model names, or else the usual one.
             port: Port on 127.0.0.1. 0 takes a free one.
+
+        Raises:
+            InputError: If the errors name a file of readings that cannot be read.
         """
+        load_readings(errors.readings if errors else "")
         super().__init__(("127.0.0.1", port), _Handler)
         self._sight = sight
         self._errors = errors
@@ -131,9 +135,8 @@ class Server(ThreadingHTTPServer):
 
 def _completion(request: _Request, content: str, calls: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
-    prompt_tokens = sum(_IMAGE_TOKENS if part.image_url else len(part.text) // 4 for part in parts)
-    completion_tokens = len(content) // 4
-    tokens = {"prompt_tokens": prompt_tokens, "completion_tokens": completion_tokens}
+    prompt = sum(_IMAGE_TOKENS if part.image_url else len(part.text) // 4 for part in parts)
+    tokens = {"prompt_tokens": prompt, "completion_tokens": len(content) // 4}
     finish, called = ("tool_calls", {"content": None, "tool_calls": calls}) if calls else ("stop", {"content": content})
     choice = {"index": 0, "finish_reason": finish, "message": {"role": "assistant", **called}}
     about = {"id": SIMULATED, "object": "chat.completion", "created": 0, "model": request.model}
@@ -214,7 +217,7 @@ def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
 
 
 def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
-    """Return the labels of the person whose box overlaps most with the box in a probe's text."""
+    """Return the labels of the person with the box that overlaps most with the box in a probe's text."""
     reference, box = next((part.jrdb_avr for part in parts if part.jrdb_avr is not None), None), _BOX.search(text)
     if reference is None or box is None:
         raise DecodeError("the request names no box, or its picture has no reference")

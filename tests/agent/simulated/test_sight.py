@@ -59,13 +59,14 @@ def text(label):
 
 def test_people_are_those_of_the_label_files(sight, raw):
     flat, solid = raw
-    compared = dict.fromkeys(("box", "pose", "action", "interaction", "group", "metres", "gender"), 0)
+    compared = dict.fromkeys(("box", "hidden", "pose", "action", "interaction", "group", "metres", "gender"), 0)
     for frame in FRAMES:
         people = {person.track: person for person in sight.people(SEQUENCE, frame)}
         records = flat[frame]
         assert people.keys() <= records.keys()
         hidden = records.keys() - people.keys()
         assert all(records[track]["attributes"]["occlusion"] not in CLEAR_OCCLUSIONS for track in hidden)
+        compared["hidden"] += len(hidden)
         for track, person in people.items():
             record = records[track]
             assert list(person.box) == record["box"]
