@@ -32,7 +32,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
     written_answer,
 )
-from jrdb_avr.agent.reference.turns import Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
@@ -83,7 +83,7 @@ class WorldMemory:
     heading: str
     advises: bool = True
     fixed: bool = False
-    shown: list[View] = field(default_factory=list)
+    shown: list[NamedView] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     proposed: Answer | None = None
     final_refused: bool = False
@@ -198,7 +198,7 @@ class WorldMemory:
         if (tool := _TOOLS.get(call.tool)) is not None:
             self.world.refuse(tool, _stored(call.arguments), reason, step)
 
-    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+    def carry_out(self, call: Call, views: Mapping[str, NamedView], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
 
         Args:
@@ -228,7 +228,7 @@ class WorldMemory:
         return result
 
     def _add_people(
-        self, arguments: Mapping[str, Any], fields: Sequence[Field], views: Mapping[str, View], step: int
+        self, arguments: Mapping[str, Any], fields: Sequence[Field], views: Mapping[str, NamedView], step: int
     ) -> str:
         """Write the people of a picture. A person with a fault is refused alone."""
         convention = self.attempt.convention
@@ -298,7 +298,7 @@ class WorldMemory:
         both = second and second[0].purpose == "identify" and second[0].frame == frame
         return (*first, *second) if both else first
 
-    def finish(self, call: Call, views: Mapping[str, View], left: int, step: int) -> ParsedReply:
+    def finish(self, call: Call, views: Mapping[str, NamedView], left: int, step: int) -> ParsedReply:
         """Judge a final answer by the graph.
 
         Args:
