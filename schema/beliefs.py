@@ -32,7 +32,7 @@ import msgspec
 from jrdb_avr.schema.panorama import Box
 
 ALWAYS: Final = 10_000_000
-"""Frame that stands for the end of time."""
+"""Frame that means the end of time."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""

@@ -1,4 +1,4 @@
-"""Weights of repeated readings: how much a second reading of the same person tells."""
+"""Weights of repeated readings: the information in a second reading of the same person."""
 
 from __future__ import annotations
 

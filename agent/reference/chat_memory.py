@@ -13,7 +13,16 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message, with_last_pictures
 from jrdb_avr.agent.model.reply import Reply, answer_text
-from jrdb_avr.agent.reference.turns import FINAL, Call, Turn, View, call_schema, look_schema, turn_schema, view_parts
+from jrdb_avr.agent.reference.turns import (
+    FINAL,
+    Call,
+    NamedView,
+    Turn,
+    call_schema,
+    look_schema,
+    turn_schema,
+    view_parts,
+)
 from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
@@ -101,7 +110,7 @@ class ChatMemory:
     def refuse(self, call: Call, reason: str, step: int) -> None:
         """Do nothing, because the next message states the refusal."""
 
-    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+    def carry_out(self, call: Call, views: Mapping[str, NamedView], step: int) -> str:
         """Refuse the call, because a chat has only `final_answer`.
 
         Raises:
@@ -113,7 +122,7 @@ class ChatMemory:
         """Return no look, because a chat does not advise."""
         return ()
 
-    def finish(self, call: Call, views: Mapping[str, View], left: int, step: int) -> ParsedReply:
+    def finish(self, call: Call, views: Mapping[str, NamedView], left: int, step: int) -> ParsedReply:
         """Read a final answer. Its answer and its box are read independently, and the readable part is kept.
 
         Args:
@@ -144,7 +153,7 @@ class ChatMemory:
         self.unread = False
         return self.parsed
 
-    def _evidence(self, observation: object, box: object, key: str, views: Mapping[str, View]) -> Evidence:
+    def _evidence(self, observation: object, box: object, key: str, views: Mapping[str, NamedView]) -> Evidence:
         """Return the box in stitched pixels, x in [0, 3760)."""
         view = views.get(observation) if isinstance(observation, str) else None
         if view is None:

@@ -19,7 +19,7 @@ from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, Attempt, ParsedReply
 from jrdb_avr.agent.methods.requests import PANORAMAS, fixed_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
-from jrdb_avr.agent.reference.turns import FINAL, MOST_CALLS, Call, Turn, View, printable, read_calls, view_of
+from jrdb_avr.agent.reference.turns import FINAL, MOST_CALLS, Call, NamedView, Turn, named_view, printable, read_calls
 from jrdb_avr.agent.reference.world_memory import WorldMemory
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
@@ -79,7 +79,7 @@ class AgentLoop:
     memory: Memory
     looking: bool
     limits: Limits = LIMITS
-    views: dict[str, View] = field(default_factory=dict)
+    views: dict[str, NamedView] = field(default_factory=dict)
     turns: int = 0
     refusals: int = 0
     refusal: str = ""
@@ -118,7 +118,7 @@ class AgentLoop:
     def _left(self) -> int:
         return self.limits.looks - len(self.attempt.made) if self.looking else 0
 
-    def _state(self, results: Sequence[str], views: Sequence[View], error: str = "") -> Turn:
+    def _state(self, results: Sequence[str], views: Sequence[NamedView], error: str = "") -> Turn:
         looks, turns = (len(self.attempt.made), self._left), (self.turns, self.limits.turns - self.turns)
         return Turn(results, views, error, looks, turns)
 
@@ -203,5 +203,5 @@ class AgentLoop:
 
     def _add_view(self, observation: Observation | Panorama) -> str:
         name = self.memory.name_view(observation, self._step)
-        self.views[name] = view_of(name, observation)
+        self.views[name] = named_view(name, observation)
         return name

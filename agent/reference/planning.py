@@ -276,7 +276,7 @@ def _stems(text: str) -> set[str]:
 
 
 def _relations() -> str:
-    """List the relations. Interactions are not listed again, and an example stands for each kind with many labels."""
+    """List the relations. Interactions are not listed again, and each kind has an example with many labels."""
     rows = [RELATIONS[label] for label in QUESTION_RELATIONS]
     window = next(row.label for row in rows if row.kind == "window")
     near = dict.fromkeys(row.distance for row in rows if row.kind == "person")

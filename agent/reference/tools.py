@@ -14,7 +14,7 @@ from jrdb_avr.agent.model.decode import BOX_SCHEMA
 from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, SAME_PLACE, Field, read_label, read_person
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.reference.chat_memory import OBSERVATION_SCHEMA
-from jrdb_avr.agent.reference.turns import FINAL, WRITES, View, call_schema, look_schema, turn_schema
+from jrdb_avr.agent.reference.turns import FINAL, WRITES, NamedView, call_schema, look_schema, turn_schema
 from jrdb_avr.schema.answer_modes import Kind, mode_of
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
@@ -33,7 +33,7 @@ People = list[tuple[str, PersonReading]]
 
 def read_people(
     arguments: Mapping[str, Any],
-    views: Mapping[str, View],
+    views: Mapping[str, NamedView],
     fields: Sequence[Field],
     counts: Mapping[str, int],
     convention: Convention,
@@ -77,7 +77,7 @@ def _read_person(
     person: object,
     number: int,
     numbers: Mapping[str, int],
-    view: View,
+    view: NamedView,
     fields: Sequence[Field],
     people: Sequence[tuple[str, PersonReading]],
     convention: Convention,
@@ -110,7 +110,7 @@ def listed(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_attribute(
-    arguments: Mapping[str, Any], views: Mapping[str, View], fields: Sequence[Field]
+    arguments: Mapping[str, Any], views: Mapping[str, NamedView], fields: Sequence[Field]
 ) -> tuple[str, str, ReadLabel]:
     """Read the call `add_attribute`.
 
@@ -134,7 +134,7 @@ def read_attribute(
 
 
 def read_relation(
-    arguments: Mapping[str, Any], views: Mapping[str, View], fields: Sequence[Field]
+    arguments: Mapping[str, Any], views: Mapping[str, NamedView], fields: Sequence[Field]
 ) -> tuple[str, str, str, str]:
     """Read the call `add_relation`.
 
@@ -170,7 +170,7 @@ def _field(name: object, fields: Sequence[Field]) -> Field:
     return field
 
 
-def _view(name: object, views: Mapping[str, View]) -> View:
+def _view(name: object, views: Mapping[str, NamedView]) -> NamedView:
     view = views.get(name) if isinstance(name, str) else None
     if view is None:
         raise DecodeError("observation must name an observation that has been made")
@@ -189,7 +189,7 @@ def _name(value: object, what: str) -> str:
     return value
 
 
-def _origin(view: View) -> tuple[str, int, int, tuple[int, int]]:
+def _origin(view: NamedView) -> tuple[str, int, int, tuple[int, int]]:
     """Return the name of an observation, its frame, its left column and its size."""
     return view.name, view.image.frames[0], view.image.left, view.image.size
 

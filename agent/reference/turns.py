@@ -178,7 +178,7 @@ _STATED: Final = ("frame_id", "angle_deg", "left")
 
 
 @dataclass(frozen=True)
-class View:
+class NamedView:
     """An observation under its name. image: its frame and its place in the panorama. line: its metadata."""
 
     name: str
@@ -188,7 +188,7 @@ class View:
     picture: Picture
 
 
-def view_of(name: str, observation: Observation | Panorama) -> View:
+def named_view(name: str, observation: Observation | Panorama) -> NamedView:
     """Return an observation as a turn shows it.
 
     Args:
@@ -205,10 +205,10 @@ def view_of(name: str, observation: Observation | Panorama) -> View:
     metadata = metadata_of(observation)
     # Each turn costs tokens, so that the line has only what a call can use.
     line = {key: round(metadata[key], 1) if key == "angle_deg" else metadata[key] for key in _STATED if key in metadata}
-    return View(name, kind, image, compact_json(line), picture_of(observation))
+    return NamedView(name, kind, image, compact_json(line), picture_of(observation))
 
 
-def view_parts(views: Sequence[View]) -> list[Part]:
+def view_parts(views: Sequence[NamedView]) -> list[Part]:
     """Return views as parts of a message.
 
     Args:
@@ -232,7 +232,7 @@ class Turn:
     """
 
     results: Sequence[str]
-    views: Sequence[View]
+    views: Sequence[NamedView]
     error: str
     looks: tuple[int, int]
     turns: tuple[int, int]

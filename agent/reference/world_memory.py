@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import msgspec
 
@@ -32,9 +32,10 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
     written_answer,
 )
-from jrdb_avr.agent.reference.turns import UNKNOWN, Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, same_answer
 from jrdb_avr.schema.answers import Answer
+from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
 from jrdb_avr.schema.panorama import CROP, crop_left
@@ -58,6 +59,9 @@ _MOST_OPEN: Final = 6
 _MOST_RECORDED: Final = 5
 """Maximum number of bindings in the transcript."""
 
+_TOOLS: Final[dict[str, Tool]] = {name: name for name in get_args(Tool)}
+"""Tools of the record of writes."""
+
 _TOPICS: Final = ("gender", "age")
 """Topics that describe a person in the line `World`."""
 
@@ -79,7 +83,7 @@ class WorldMemory:
     heading: str
     advises: bool = True
     fixed: bool = False
-    shown: list[View] = field(default_factory=list)
+    shown: list[NamedView] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     proposed: Answer | None = None
     final_refused: bool = False
@@ -191,10 +195,10 @@ class WorldMemory:
 
     def refuse(self, call: Call, reason: str, step: int) -> None:
         """Record a refused call in the graph, unless it names no tool."""
-        if call.tool != UNKNOWN:
-            self.world.refuse(call.tool, _stored(call.arguments), reason, step)
+        if (tool := _TOOLS.get(call.tool)) is not None:
+            self.world.refuse(tool, _stored(call.arguments), reason, step)
 
-    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+    def carry_out(self, call: Call, views: Mapping[str, NamedView], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
 
         Args:
@@ -224,7 +228,7 @@ class WorldMemory:
         return result
 
     def _add_people(
-        self, arguments: Mapping[str, Any], fields: Sequence[Field], views: Mapping[str, View], step: int
+        self, arguments: Mapping[str, Any], fields: Sequence[Field], views: Mapping[str, NamedView], step: int
     ) -> str:
         """Write the people of a picture. A person with a fault is refused alone."""
         convention = self.attempt.convention
@@ -294,7 +298,7 @@ class WorldMemory:
         both = second and second[0].purpose == "identify" and second[0].frame == frame
         return (*first, *second) if both else first
 
-    def finish(self, call: Call, views: Mapping[str, View], left: int, step: int) -> ParsedReply:
+    def finish(self, call: Call, views: Mapping[str, NamedView], left: int, step: int) -> ParsedReply:
         """Judge a final answer by the graph.
 
         Args:

@@ -85,7 +85,7 @@ class Draws:
 
 
 @dataclass(frozen=True)
-class View:
+class PictureView:
     """A picture: the sequence, the frame, and the columns [left, left + width) that it shows, in stitched pixels."""
 
     sequence: str
@@ -121,7 +121,7 @@ class ReadPerson:
     reader: Reader
 
     def label(self, name: str) -> str | None:
-        """Return the gender, the age or the pose as it was read, or None if the model cannot tell."""
+        """Return the gender, the age or the pose as it was read, or None if the model says nothing."""
         values, errors = self.person.labels.get(name, frozenset()), self.reader.errors
         if len(values) != 1 or self.person.track < 0:
             return next(iter(values)) if len(values) == 1 else None
@@ -138,7 +138,7 @@ class ReadPerson:
         )
 
     def holds(self, name: str, value: str) -> bool | None:
-        """Return whether an action, interaction or object was read, or None if the model cannot tell."""
+        """Return whether an action, interaction or object was read, or None if the model says nothing."""
         values, errors = self.person.labels.get(name), self.reader.errors
         if values is None:
             return None
@@ -150,7 +150,7 @@ class ReadPerson:
         return self._slip(errors.added + errors.wrong / _VALUES[name], "added", name, value) is not None
 
     def partners(self, relation: str, people: Sequence[ReadPerson]) -> list[int] | None:
-        """Return the positions, from 1, of the people in a relation to the person. None if the model cannot tell."""
+        """Return the positions, from 1, of the people in a relation to the person. None if the model says nothing."""
         tied, errors = self.person.ties.get(relation), self.reader.errors
         if tied is None:
             return None
@@ -183,7 +183,7 @@ class Reader:
     """Reads the people of one picture, with errors."""
 
     errors: Errors
-    view: View
+    view: PictureView
 
     def people(self, everyone: Sequence[Person]) -> tuple[ReadPerson, ...]:
         """Return the people who are read in the picture, from left to right.

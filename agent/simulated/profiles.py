@@ -64,12 +64,12 @@ PROFILES: Final = {
     "realistic": Errors(
         person=0.55, frame=0.25, pose=1.0, dropped=0.3, added=0.05, miss=0.45, ghosts=4.5, box=0.05, identity=0.05
     ),
-    "recorded": PERFECT,
+    "recorded": Errors(readings="detector_readings.json"),
 }
-"""Profiles by name. `recorded` takes boxes and postures from a file of readings."""
+"""Profiles by name. `recorded` takes boxes and postures from a file, which `readings` names."""
 
 SIMULATED: Final = "simulated"
-USUAL: Final = "realistic"
+USUAL_PROFILE: Final = "realistic"
 """Profile of the model `simulated`."""
 
 
@@ -88,7 +88,7 @@ def profile_of(model: str) -> Errors | None:
     family, _, name = model.partition(":")
     if family != SIMULATED:
         return None
-    name = name or USUAL
+    name = name or USUAL_PROFILE
     if name not in PROFILES:
         raise InputError(f"{model[:60]!r}: the simulated model's profiles are {', '.join(PROFILES)}", field="model")
     return PROFILES[name]

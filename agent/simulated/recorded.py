@@ -21,7 +21,7 @@ from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, crop_left, iou
 
 _SAME: Final = 0.4
-"""Minimum IoU of a reading with the person whom it shows."""
+"""Minimum IoU of a reading with the person that it shows."""
 _TWICE: Final = 0.5
 """Minimum IoU of two readings of one person in two crops of a frame."""
 _NEAR_DEG: Final = 11.25
@@ -32,11 +32,13 @@ Readings = dict[int, dict[float, list[list[Any]]]]
 
 @functools.cache
 def load_readings(path: str) -> Readings:
-    """Return the readings in a file by frame and angle. Raise InputError if the file cannot be read."""
+    """Return the readings in a file by frame and angle, none for "". Raise InputError if the file cannot be read."""
     try:
-        return msgspec.json.decode(Path(path).read_bytes(), type=Readings, strict=False)
+        return msgspec.json.decode(Path(path).read_bytes() if path else b"{}", type=Readings, strict=False)
     except (OSError, msgspec.DecodeError) as error:
-        raise InputError(f"cannot take the readings of {path or 'no file'}: {error}", field="readings") from None
+        raise InputError(
+            f"cannot take the readings of {path}: {error}; give a file (--simulate readings=FILE)", field="readings"
+        ) from None
 
 
 class RecordedReader(Reader):
@@ -46,21 +48,19 @@ class RecordedReader(Reader):
         """Return the people who are read in the picture, from left to right. `everyone` are the annotated people."""
         readings = load_readings(self.errors.readings)
         crops = readings[min(readings, key=lambda at: abs(at - self.view.frame))]
-        middle = center_angle(self.view.left, self.view.width)
         people: list[ReadPerson] = []
         for angle, found in crops.items():
-            if self.view.width == CROP and angle_error(angle, middle) > _NEAR_DEG:
+            if self.view.width == CROP and angle_error(angle, center_angle(self.view.left, CROP)) > _NEAR_DEG:
                 continue
             for x, y, w, h, _, pose, *_ in found:
                 stitched = Box(crop_left(angle) + x, y, w, h)
                 box = self.view.place(stitched)
                 if box is not None and not any(iou(box, person.box) >= _TWICE for person in people):
                     people.append(self._read(stitched, box, pose, everyone))
-        unique = {person.identity: person for person in people}
-        return tuple(sorted(unique.values(), key=lambda person: person.box.x))
+        return tuple(sorted({each.identity: each for each in people}.values(), key=lambda person: person.box.x))
 
     def _read(self, stitched: Box, box: Box, pose: str | None, everyone: Sequence[Person]) -> ReadPerson:
-        """Return a reading as a person: the annotated one whom it overlaps most, or a false one."""
+        """Return a reading as a person: the annotated one with the largest overlap, or a false one."""
         poses = frozenset((pose,)) if pose in POSES else frozenset[str]()
         best = max(everyone, key=lambda person: iou(person.box, stitched), default=None)
         if best is None or iou(best.box, stitched) < _SAME:

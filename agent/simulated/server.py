@@ -25,10 +25,10 @@ from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.labelled_people import PERSON_LINE
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
 from jrdb_avr.agent.simulated.brain import STAGES
-from jrdb_avr.agent.simulated.noise import Draws, Reader, ReadPerson, View
-from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
-from jrdb_avr.agent.simulated.recorded import RecordedReader
-from jrdb_avr.agent.simulated.requests import MessagePart, See, UserMessage, lines_of, read_request, view_of
+from jrdb_avr.agent.simulated.noise import Draws, PictureView, Reader, ReadPerson
+from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL_PROFILE, Errors
+from jrdb_avr.agent.simulated.recorded import RecordedReader, load_readings
+from jrdb_avr.agent.simulated.requests import MessagePart, See, UserMessage, lines_of, picture_view, read_request
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, tool_calls, user_turns, with_stage
 from jrdb_avr.schema.errors import DecodeError
@@ -64,14 +64,18 @@ class Server(ThreadingHTTPServer):
             sight: Annotated people of a store. Without it, the model passes only the checks of a server.
             errors: Errors of the model. None takes the profile that a request's model names, or else the usual one.
             port: Port on 127.0.0.1. 0 takes a free one.
+
+        Raises:
+            InputError: If the errors name a file of readings that cannot be read.
         """
+        load_readings(errors.readings if errors else "")
         super().__init__(("127.0.0.1", port), _Handler)
         self._sight = sight
         self._errors = errors
         # Every turn sends all pictures again.
         self._see = functools.lru_cache(_PICTURES)(self._read)
 
-    def _read(self, errors: Errors, view: View) -> tuple[ReadPerson, ...]:
+    def _read(self, errors: Errors, view: PictureView) -> tuple[ReadPerson, ...]:
         """Return the people who are read in a picture."""
         if self._sight is None:
             raise DecodeError("the simulated model has no store to read annotations from")
@@ -107,7 +111,7 @@ class Server(ThreadingHTTPServer):
         if message.stream:
             raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
         turns = with_stage(user_turns(message.messages), message.tools)
-        profile = PROFILES.get(message.model.removeprefix(f"{SIMULATED}:"), PROFILES[USUAL])
+        profile = PROFILES.get(message.model.removeprefix(f"{SIMULATED}:"), PROFILES[USUAL_PROFILE])
         errors = self._errors or profile
         see = functools.partial(self._see, errors)
         # Only programs that declare tools may send pictures without references.
@@ -131,9 +135,8 @@ class Server(ThreadingHTTPServer):
 
 def _completion(request: _Request, content: str, calls: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
-    prompt_tokens = sum(_IMAGE_TOKENS if part.image_url else len(part.text) // 4 for part in parts)
-    completion_tokens = len(content) // 4
-    tokens = {"prompt_tokens": prompt_tokens, "completion_tokens": completion_tokens}
+    prompt = sum(_IMAGE_TOKENS if part.image_url else len(part.text) // 4 for part in parts)
+    tokens = {"prompt_tokens": prompt, "completion_tokens": len(content) // 4}
     finish, called = ("tool_calls", {"content": None, "tool_calls": calls}) if calls else ("stop", {"content": content})
     choice = {"index": 0, "finish_reason": finish, "message": {"role": "assistant", **called}}
     about = {"id": SIMULATED, "object": "chat.completion", "created": 0, "model": request.model}
@@ -214,13 +217,13 @@ def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
 
 
 def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
-    """Return the labels of the person whose box overlaps most with the box in a probe's text."""
+    """Return the labels of the person with the box that overlaps most with the box in a probe's text."""
     reference, box = next((part.jrdb_avr for part in parts if part.jrdb_avr is not None), None), _BOX.search(text)
     if reference is None or box is None:
         raise DecodeError("the request names no box, or its picture has no reference")
     left, top, right, bottom = (side * CROP / SCALE for side in msgspec.json.decode(box[1], type=list[int]))
     asked = Box(left, top, right - left, bottom - top)
-    people = [person for person in see(view_of(reference)) if iou(person.box, asked) > 0]
+    people = [person for person in see(picture_view(reference)) if iou(person.box, asked) > 0]
     best = max(people, key=lambda person: iou(person.box, asked), default=None)
     return {name: (best and best.label(name)) or "cannot tell" for name in ("gender", "age", "pose")}
 

@@ -8,9 +8,7 @@ them into bindings. The readings of the target, and with them the answer, are re
 from __future__ import annotations
 
 import json
-import math
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
 from typing import Any, Final
 
@@ -18,13 +16,12 @@ import msgspec
 
 from jrdb_avr.agent.look.answer import Conclusion, conclude
 from jrdb_avr.agent.look.moments import group_changes
-from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, edges_of, join, parts_of
+from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, parts_of
 from jrdb_avr.agent.perceive.fields import perceivable
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
-from jrdb_avr.agent.perceive.votes import Support, Tracks, Vote, fuse
+from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.world.derive import (
-    ENTITY_TOPIC,
     HasValue,
     Key,
     Relation,
@@ -35,6 +32,7 @@ from jrdb_avr.agent.world.derive import (
     shared_interactions,
     slots_of,
 )
+from jrdb_avr.agent.world.evidence import Evidence, assemble_tracks
 from jrdb_avr.queries.beliefs.episode import EpisodeRows
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.statements import read_statement
@@ -58,7 +56,6 @@ from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Question
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle
 from jrdb_avr.schema.plan import Plan, canonical
-from jrdb_avr.schema.relations import SYMMETRIC
 from jrdb_avr.schema.repeats import USUAL_REPEATS, Repeats
 
 MOST_ENTITIES: Final = 200
@@ -66,9 +63,6 @@ MOST_ENTITIES: Final = 200
 
 LONGEST_ARGUMENTS: Final = 8_000
 """Maximum number of characters of a call's arguments in the record."""
-
-_DIGITS: Final = 9
-"""Number of decimals of a sum of weights, because the engine adds them in any order."""
 
 _MOST_RANKED: Final = 5
 """Maximum number of bindings that are written together, each with another target."""
@@ -127,7 +121,7 @@ class WorldEpisode:
         self._listed: set[str] = set()
         self._written: dict[Key, float] = {}
         self._waiting: list[tuple[Write, Fact]] = []
-        self._evidence: _Evidence | None = None
+        self._evidence: Evidence | None = None
         self._step = 0
         self._ranks: list[tuple[str, float]] = []
         episode = EpisodeRow(self.key, run_id, question.question_id, question.sequence)
@@ -396,30 +390,8 @@ class WorldEpisode:
     def read_tracks(self) -> Tracks:
         """Return the readings that the graph has."""
         self._settle()
-        sightings, attributes, relations, looks = (
-            self._rows_of(name) for name in ("sightings", "attributes", "relations", "looks")
-        )
-        labels: dict[tuple[str, int], list[ReadLabel]] = defaultdict(list)
-        for row in attributes:
-            labels[row["entity"], row["look"]].append(ReadLabel(row["name"], row["value"], *_read(row["log_odds"])))
-        numbers = {(row["entity"], row["look"]): row["number"] for row in sightings}
-        ties: dict[tuple[str, int], list[ReadTie]] = defaultdict(list)
-        for row in relations:
-            look = int(row["look"].rpartition("/o")[2])
-            ties[row["source"], look].append(
-                ReadTie(row["name"], numbers[row["target"], look], *_read(row["log_odds"]))
-            )
-        people: dict[str, tuple[PersonReading, ...]] = {}
-        for row in sightings:
-            key = row["entity"], row["look"]
-            metres = None if row["metres"] < 0 else row["metres"]
-            details = tuple(labels[key]), tuple(ties[key]), metres, row["whole"]
-            reading = PersonReading(f"o{row['look']}", numbers[key], row["frame"], Box(**row["box"]), *details)
-            people[row["entity"]] = (*people.get(row["entity"], ()), reading)
-        columns: dict[int, tuple[SeenColumns, ...]] = {}
-        for row in looks:
-            columns[row["frame"]] = (*columns.get(row["frame"], ()), SeenColumns(row["left"], row["width"]))
-        return Tracks(people, columns, self.tracks.repeats)
+        names = ("sightings", "attributes", "relations", "looks")
+        return assemble_tracks(*(self._rows_of(name) for name in names), self.tracks.repeats)
 
     def statements(self, people: Set[str]) -> list[dict[str, Any]]:
         """Return the statements that gave the bindings: name, parameters, and the rows about the given people."""
@@ -439,13 +411,13 @@ class WorldEpisode:
     def _rows_of(self, name: str) -> list[dict[str, Any]]:
         return self._graph.read(read_statement(f"reads/world/{name}.cypher"), self._parameters())
 
-    def _read_evidence(self) -> _Evidence:
+    def _read_evidence(self) -> Evidence:
         self._settle()
         if self._evidence is None:
             assert self.plan is not None, "a plan is set before the graph is read"
             has_edges = any(slot.row.kind == "edge" for slot in self._slots)
             pairs = self._rows_of("pairs") if has_edges else []
-            evidence = _Evidence(self.plan, self._slots, self._rows_of("slots"), pairs, self.tracks.repeats)
+            evidence = Evidence(self.plan, self._slots, self._rows_of("slots"), pairs, self.tracks.repeats)
             ranked = [(row.nodes, round(row.log_odds, 6)) for row in self._ranked(evidence.bindings, self._step)]
             if ranked != self._ranks:
                 self._ranks = ranked
@@ -454,73 +426,10 @@ class WorldEpisode:
         return self._evidence
 
 
-class _Evidence:
-    """Rows of the two statements that sum evidence, and the bindings that follow from them."""
-
-    def __init__(
-        self,
-        plan: Plan,
-        slots: Sequence[Slot],
-        singles: Sequence[Mapping[str, Any]],
-        pairs: Sequence[Mapping[str, Any]],
-        repeats: Repeats,
-    ) -> None:
-        self._slots, self._repeats = slots, repeats
-        self.rows = {"slots": singles, "pairs": pairs}
-        self._votes: dict[tuple[int, str, str], list[Vote]] = defaultdict(list)
-        numbered = {slot.row.number: slot for slot in slots}
-        # Rows of replaced slots are left out.
-        singles, pairs = ([row for row in rows if row["slot"] in numbered] for rows in (singles, pairs))
-        for row in singles:
-            self._votes[row["slot"], row["entity"], ""].append((row["frame"], round(row["weight"], _DIGITS)))
-        for row in pairs:
-            ends = row["source"], row["target"]
-            slot = numbered[row["slot"]].row
-            symmetric = slot.name in SYMMETRIC and slot.origin == "model"
-            for source, target in (ends, ends[::-1]) if symmetric else (ends,):
-                self._votes[row["slot"], source, target].append((row["frame"], round(row["weight"], _DIGITS)))
-        self.parts = [slot for slot in slots if slot.part is not None]
-        edges = edges_of(plan)
-        entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}
-        alone = {
-            (node.id, entity): sum(
-                self._log_odds(slot, entity)
-                if slot.part is None
-                else slot.part.evidence(self.support(slot, entity).log_odds)
-                for slot in slots
-                if slot.row.node == node.id and slot.row.kind != "edge"
-            )
-            for node in plan.nodes
-            for entity in entities
-        }
-        first = next((slot.row.number for slot in slots if slot.row.kind == "edge"), 0)
-        table = {
-            (number - first, source, target): edges[number - first].evidence(
-                self.support(numbered[number], source, target).log_odds
-            )
-            for number, source, target in self._votes
-            if target
-        }
-        self.bindings = join(plan, alone, table) if alone else ()
-
-    def support(self, slot: Slot, entity: str, other: str = "") -> Support:
-        """Return the support of a slot for an entity or a pair."""
-        votes = self._votes.get((slot.row.number, entity, other), [])
-        return Support(fuse(votes, slot.frame, self._repeats))
-
-    def _log_odds(self, slot: Slot, entity: str) -> float:
-        return sum(weight for _, weight in self._votes.get((slot.row.number, entity, ""), []))
-
-
 def _is_inside(box: Box, look: LookRow) -> bool:
     """Return whether a box in stitched pixels has columns of a look only. One pixel is allowed for rounding."""
     begin = (box.x - look.left + 1.0) % WIDTH
     return box.w > 0 and box.h > 0 and begin + box.w <= look.width + 2.0
-
-
-def _read(log_odds: float) -> tuple[bool, float]:
-    """Return whether a reading affirms a value, and its confidence."""
-    return log_odds > 0, round(1 / (1 + math.exp(-abs(log_odds))), 9)
 
 
 def _as_json(arguments: object) -> str:

@@ -47,7 +47,7 @@ WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write to a world model."""
 
 ADVISED: Final = "agent"
-"""The method whose world model proposes looks."""
+"""The method with a world model that proposes looks."""
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""What stands round the people of a sequence: walls with landmarks above, a tiled floor below."""
+"""The surroundings of the people of a sequence: walls with landmarks above, a tiled floor below."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ def cluster_names(world: World) -> list[int]:
     begun = [int(np.argmax(one)) if one.any() else -1 for one in here]
     free = list(range(len(world.parties)))
     for late, party in enumerate(world.parties):
-        # Only the number of a party of one stands for no facts of a group.
+        # The number of a party of one says nothing about a group.
         early = next((k for k in free if gone[k] < begun[late]), None) if len(party.members) == 1 else None
         if early is not None:
             names[late] = names[early]
@@ -226,7 +226,7 @@ def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list
 
 def lidar_points(world: World, quirks: Quirks) -> Ints:
     """Lidar points on each body, (frames, people)."""
-    # A box holds some points even of those whom no camera sees: the lidars stand elsewhere.
+    # A box has some points even if no camera sees the person, because the lidars are at another place.
     visible = np.maximum(1.0 - world.covered, 0.02)
     # They thin out with the square of the distance.
     points = np.round(9000 * world.height * world.width * visible / world.distance**2 * quirks.points_noise)

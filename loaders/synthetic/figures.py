@@ -177,7 +177,7 @@ def _draw_side(
 
 
 def _draw_under(canvas: Canvas, figure: Figure) -> None:
-    """Draw what the person sits on, lies on or rides."""
+    """Draw the seat, bed or vehicle of the person."""
     at, part, turn = figure.at, figure.under, 1 if figure.across >= 0 else -1
     match figure.pose:
         case "sitting":

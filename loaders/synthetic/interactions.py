@@ -75,7 +75,7 @@ def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> 
             mark("walking toward each other", here, max(0, tick - 2), tick)
         if rng.random() < 0.5:
             mark(one_of(rng, _WELCOMES), together, tick, tick + int(rng.integers(1, 3)))
-    # Now and then also without a meeting, between those who stand.
+    # Now and then also without a meeting, between standing people.
     upright = together & (script.pose[:, [a, b]] == POSE["standing"]).all(axis=1)
     for tick in np.flatnonzero(upright & (rng.random(len(upright)) < 0.02)).tolist():
         mark(one_of(rng, _WELCOMES), upright, tick, tick + 2)

@@ -92,7 +92,7 @@ def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> Floa
 
 
 def _push(x: Floats, y: Floats) -> Floats:
-    """How many times farther from the robot people stand, so that nobody stands too near."""
+    """How many times farther from the robot people stand, so that no person is too near."""
     push: Floats = np.maximum(1.0, LEAST_DISTANCE / np.maximum(np.hypot(x, y), 1e-6))
     return push
 

@@ -113,9 +113,11 @@ class _Maker:
 
 
 class Things:
-    """The things of a sequence: those that a script needs, and some more that only stand about. For those that stand or
-    roll (`stands`, their places in `things`), by column: position in the world (frames, columns), and whether they are
-    there."""
+    """The things of a sequence: the things that a script needs, and some more that do not move.
+
+    Things that do not move or that roll (`stands`, their places in `things`) have, by column, a position in the world
+    (frames, columns), and whether they are present.
+    """
 
     def __init__(self, rng: Rng, script: Script, motion: Motion, tick: Ints) -> None:
         maker = _Maker(rng, script)

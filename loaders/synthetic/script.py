@@ -118,7 +118,7 @@ class Script:
             for member in party.members:
                 self.present[:, member] = here
                 own = _member_poses(rng, move, shared, party.patient)
-                # Some do as the first of their party does: they sit and stand together.
+                # Some do as the first of their party does: they have the same pose.
                 follows = member != party.members[0] and rng.random() < 0.4
                 self.pose[:, member] = self.pose[:, party.members[0]] if follows else own
                 self.actions[:, member, 0] = _member_actions(rng, move)
@@ -197,7 +197,7 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
     upstairs = False
     while tick < ticks:
         if moves:
-            # Stairs stand a little away from the robot.
+            # Stairs are a little away from the robot.
             ways = {
                 name: 1.0 if party.patient else share
                 for name, (share, _) in GAITS.items()

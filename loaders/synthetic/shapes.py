@@ -1,4 +1,4 @@
-"""Sizes, colours and parts of the things of the sample world: what stands in it and what people hold.
+"""Sizes, colours and parts of the things of the sample world: furniture and things that people hold.
 
 Colours are RGB.
 """
@@ -31,7 +31,7 @@ class Disc(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """A thing that stands in the world: metres across and high, and its parts by colour, in the order of drawing."""
+    """A thing in the world: metres across and high, and its parts by colour, in the order of drawing."""
 
     width: float
     height: float

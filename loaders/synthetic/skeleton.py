@@ -90,7 +90,7 @@ _SWING: Final = _per_pose({"walking": 0.20, "running": 0.30, "going upstairs": 0
 _PEDAL: Final = _per_pose({"cycling": 0.06}, 0.0)
 """Radius of the circle in which a foot goes round."""
 _STANCE: Final = _per_pose({"skating": 0.16, "scootering": 0.16}, 0.0)
-"""How far a foot on a board stands before or behind the middle."""
+"""Distance of a foot on a board from the middle."""
 
 _REACH: Final = {
     "pointing at sth": ((0.24, 0.3, 0.22), (0.44, 0.2, 0.2)),

@@ -69,7 +69,7 @@ class Entries:
             way = np.repeat((1, 2), len(run))
             run, frame = np.tile(run, 2), np.tile(frame, 2)
             person, other = np.append(person, other), np.append(other, person)
-            # A partner may have no box: annotators name also whom another box hides.
+            # A partner may have no box, because annotators also name people behind another box.
             there = world.present[frame, other] & ((directions[run] == 0) | (directions[run] == way))
             run, frame, person, other = (column[there] for column in (run, frame, person, other))
         boxed = world.boxed[frame, person]

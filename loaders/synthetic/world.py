@@ -118,7 +118,7 @@ class World:
         return _upright(_columns(x, y), distance, rows, sizes[:, 0]), np.where(things.there, distance, np.inf)
 
     def _covered(self) -> tuple[Floats, Bools]:
-        """Share of each box that lies behind nearer ones, counted on a raster of `GRID` pixels, and which joints do so.
+        """Share of each box behind nearer boxes, counted on a raster of `GRID` pixels, and which joints do so.
 
         0 and False for the absent. A person's box covers with the steps below it, down to the floor; partitions and
         things cover their boxes.
@@ -182,7 +182,7 @@ def _columns(x: Floats, y: Floats) -> Floats:
 
 
 def _upright(column: Floats, distance: Floats, rows: Floats, width: Floats) -> Ints:
-    """Boxes (..., 4) in whole pixels of what stands upright round a column and is `width` metres across."""
+    """Boxes (..., 4) in whole pixels of upright things round a column and is `width` metres across."""
     half = WIDTH * np.arctan2(width / 2, distance) / (2 * np.pi)
     left, right = np.round(column - half), np.round(column + half)
     top, bottom = np.moveaxis(np.clip(np.round(rows), 0, HEIGHT), -1, 0)

@@ -67,8 +67,6 @@ def all_cases(base):
         Case("export public", "answered", ("export", "--public", "public", *STORE), done=FILLED),
         Case("export hf", "answered", ("export", "--hf", "hf", *STORE), done=FILLED),
         Case("submit", "answered", ("submit", "r", "bundle", *STORE), done=FILLED),
-        Case("world merge", "dropped", ("world", "merge", "a", *STORE)),
-        Case("world drop", "answered", ("world", "drop", "a", *STORE), done="holds nothing of run"),
         Case("play", "generated", PLAY, resumed=True),
         Case("runs remove", "answered", ("runs", "remove", "a", "--yes", *STORE), done="has no run"),
         Case(
@@ -105,7 +103,6 @@ def make_states(base):
     (base / "generated/store/opaque.key").chmod(0o600)
     grown("answered", "generated", REACT, AGENT)
     grown("scored", "answered", ("score", *STORE))
-    grown("dropped", "answered", ("world", "drop", "a", *STORE))
     run("answered", "export", "r", "--jsonl", str(base / "mine.jsonl"), *STORE)
     done.touch()
 

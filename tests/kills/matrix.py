@@ -23,7 +23,7 @@ from pathlib import Path
 
 from cases import Finding, Running, all_cases, await_group, differences, half_written, make_states, snapshot
 
-NAMED = ("load", "generate", "evaluate", "evaluate agent", "score", "report", "export hf", "world merge", "play")
+NAMED = ("load", "generate", "evaluate", "evaluate agent", "score", "report", "export hf", "play")
 """The cases of the random kills."""
 WHOM = ("parent", "child", "group")
 BUSY = re.compile(r"is (in use|being written|being run) by")

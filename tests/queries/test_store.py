@@ -65,7 +65,7 @@ def test_a_broken_manifest_is_one_error(tmp_path, text):
         Store(tmp_path).manifest()
 
 
-@pytest.mark.parametrize("command", ["load {root}", "load --rebuild", "generate", "score", "world merge r"])
+@pytest.mark.parametrize("command", ["load {root}", "load --rebuild", "generate", "score", "runs remove r"])
 def test_a_store_of_a_newer_version_is_refused_in_one_line_and_stays(tmp_path, command):
     root = write_root(tmp_path / "root", {"yard-2020-01-01_0": {"2d": {0: [person(1, (100, 100, 50, 90))]}}})
     (tmp_path / "store").mkdir()

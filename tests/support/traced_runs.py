@@ -30,11 +30,14 @@ def sighted(name, write, step, frame, x):
 
 
 def has(name, write, step, value, frame):
-    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, frame, "pose", "action", value, 2.2, True, "model")
+    row = (f"e/{name}", "e/o1", "e", write, step, frame)
+    values = {"topic": "pose", "name": "action", "value": value, "weight": 2.2, "exclusive": True, "origin": "model"}
+    return AttributeRow(*row, **values, log_odds=2.2)
 
 
 def related(source, target, write, step, frame):
-    return RelationRow(f"e/{source}", f"e/{target}", "e", write, step, frame, "conversation", -1.5, "e/o1", "model")
+    row = (f"e/{source}", f"e/{target}", "e", write, step, frame)
+    return RelationRow(*row, name="conversation", weight=-1.5, look="e/o1", origin="model", log_odds=2.2)
 
 
 def world_rows(frame):

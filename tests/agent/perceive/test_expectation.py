@@ -1,6 +1,6 @@
 """The expected angle of a person at other frames: between sightings, beyond them, and over the seam."""
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from readings import toward
 
@@ -14,6 +14,7 @@ def read(angle, frame, whole=True):
 
 
 @given(st.floats(0, 359), st.floats(-2, 2), st.integers(0, 40), st.integers(41, 100))
+@example(350.0, 1.0, 20, 60)
 def test_constant_speed_over_the_seam_and_less_of_it_beyond(start, speed, between, beyond):
     readings = [read((start + speed * frame) % 360, frame) for frame in (0, 40)]
     last = expected_place(readings, 40)

@@ -6,6 +6,7 @@ import pytest
 from environment import SNAPSHOTS
 from reference_play import (
     ADVISED,
+    CHOICES,
     GRAPH,
     LEFT_BOX,
     MAN,
@@ -32,6 +33,7 @@ from reference_play import (
     writes,
 )
 
+from jrdb_avr.agent.look.answer import guess_choice
 from jrdb_avr.agent.reference.loop import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.schema.answers import Choice
@@ -136,7 +138,8 @@ def test_a_refused_answer_names_the_best_look(world):
 
 def test_without_people_the_answer_is_a_guess_by_the_choices(world):
     told = [play([PLAN, turn(final(n)), turn(final(n)), AssertionError], world=world).prediction for n in (1, 2, 3)]
-    assert len({one.answer for one in told}) == 1
+    assert {one.answer for one in told} == {guess_choice(CHOICES)}
+    assert len({guess_choice((text, *CHOICES)).choice for text in "abcdefgh"}) > 2
     assert {(one.verdict, one.evidence, one.status) for one in told} == {("guess", None, "answered")}
 
 

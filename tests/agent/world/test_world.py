@@ -28,7 +28,7 @@ from jrdb_avr.queries.named import find_query
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
-from jrdb_avr.schema.relations import SAME_GROUP
+from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
 from jrdb_avr.schema.repeats import USUAL_REPEATS, Repeats
 
 CROWD = 5
@@ -85,6 +85,35 @@ def test_statements_bind_and_answer_as_readings_do_after_every_write(graph, seed
                 mutual = part.name == "conversation" and key not in shown
                 support = shown.get((number, *sorted(people)) if mutual else key, 0.0)
                 assert support == pytest.approx(part.support(tracks, people).log_odds, abs=1e-4)
+
+
+TWICE = Plan(
+    "a", "b", PLAN.times, (Node("a"), Node("b")),
+    (Edge("a", FIRST_LEFT, "b", "t0"), Edge("a", FIRST_LEFT, "b", "t1")), PLAN.answer,
+)  # fmt: skip
+
+
+def test_a_relation_of_places_is_asked_at_each_of_its_frames(graph):
+    episode = begin(graph, plan=TWICE)
+    people = {"p1": (100, 200), "p2": (200, 100)}
+    for step, frame in enumerate((60, 120)):
+        look = episode.observed(whole(frame), step)
+        boxes = [Box(places[step], 100, 50, 150) for places in people.values()]
+        readings = [PersonReading(look, number, frame, box) for number, box in enumerate(boxes, 1)]
+        episode.add_people(look, [*zip(people, readings, strict=True)], step)
+    binding = episode.bindings()[0]
+    found = [slot.support.log_odds for slot in episode.slots(binding)]
+    assert found == pytest.approx([slot.support.log_odds for slot in slot_supports(TWICE, episode.tracks, binding)])
+    assert min(found) < 0 < max(found)
+
+
+def test_a_look_whose_people_are_listed_twice_counts_once(graph):
+    episode = begin(graph)
+    look = episode.observed(whole(60), 1)
+    for number in (1, 2):
+        reading = PersonReading(look, number, 60, Box(500 * number, 100, 50, 150))
+        episode.add_people(look, [(f"p{number}", reading)], number)
+    assert len(episode.tracks.looks[60]) == len(episode.read_tracks().looks[60]) == 1
 
 
 JOINED = Plan(
