@@ -1,6 +1,6 @@
 """Processor time of the world model: `python tests/benchmarks/bench_world.py [--smallest]`.
 
-64 episodes are in flight in the graph file of one run, beside 500 episodes that have ended. The episodes take their
+64 episodes are in flight in the graph file of one run, beside 200 episodes that have ended. The episodes take their
 turns by rotation in one thread, so that the processor time of each turn can be measured with all threads of the engine.
 In a turn an agent makes a look, writes eight people with their attributes and relations, reads the bindings, and reads
 the answer. The plans have one, two, three or four people.
@@ -30,7 +30,7 @@ from jrdb_avr.schema.relations import FIRST_RIGHT
 from jrdb_avr.schema.tables import RUNS
 
 SMALLEST = "--smallest" in sys.argv
-IN_FLIGHT, TURNS, ENDED = (4, 3, 4) if SMALLEST else (64, 10, 500)
+IN_FLIGHT, TURNS, ENDED = (4, 3, 4) if SMALLEST else (64, 6, 200)
 MEDIAN_MS, LATE_MS = 30.0, 150.0
 TALK = "conversation"
 SHAPES = (
