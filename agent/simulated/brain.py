@@ -1,6 +1,6 @@
 """Play the stages of all methods without a world model, each named by the last line of a request.
 
-All stages share one engine. The model reads every picture of the conversation, ranks the people whom the question may
+All stages share one engine. The model reads every picture of the conversation, ranks the people that the question may
 mean, and then asks for the look that tells most, or answers. So the baselines choose their looks as well as the agent.
 The plan of a question is the program that the question's words mean.
 """

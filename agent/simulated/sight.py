@@ -1,6 +1,6 @@
 """People at each frame of a store's sequences, read from the annotations.
 
-A frame between two labelled frames shows the labels of the nearest labelled frame. People whom the annotations call
+A frame between two labelled frames shows the labels of the nearest labelled frame. People that the annotations call
 covered are not in the list, because they count for no question.
 """
 
