@@ -12,7 +12,7 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
-USUAL: Final = 0.9
+USUAL_CONFIDENCE: Final = 0.9
 """Confidence of a reading if the model states none."""
 
 LEAST_SIDE: Final = 0.1
@@ -52,7 +52,7 @@ class ReadLabel(NamedTuple):
     name: str
     value: str
     holds: bool = True
-    confidence: float = USUAL
+    confidence: float = USUAL_CONFIDENCE
 
     @property
     def topic(self) -> str:
@@ -73,7 +73,7 @@ class ReadTie(NamedTuple):
     relation: str
     other: int
     holds: bool = True
-    confidence: float = USUAL
+    confidence: float = USUAL_CONFIDENCE
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from jrdb_avr.agent.perceive.geometry import (
     in_sector,
     standing,
 )
-from jrdb_avr.agent.perceive.readings import USUAL, PersonReading, ReadLabel, has_one_value, topic_of
+from jrdb_avr.agent.perceive.readings import USUAL_CONFIDENCE, PersonReading, ReadLabel, has_one_value, topic_of
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.labels import may_be_called
 from jrdb_avr.schema.panorama import WIDTH, Box
@@ -36,7 +36,7 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 SlotState = Literal["open", "supported", "certain", "contradicted"]
 
-UNIT: Final = math.log(USUAL / (1 - USUAL))
+UNIT: Final = math.log(USUAL_CONFIDENCE / (1 - USUAL_CONFIDENCE))
 """Log-odds of one reading of the usual confidence, and the maximum of one reading."""
 
 CAP: Final = 1.5 * UNIT
@@ -360,9 +360,9 @@ def tie_key(source: str, relation: str, target: str) -> TieKey:
     return first, relation, last
 
 
-def signed(holds: bool, confidence: float = USUAL) -> float:
+def signed(holds: bool, confidence: float = USUAL_CONFIDENCE) -> float:
     """Return the log-odds of one reading with a confidence from 0.5 to 1."""
-    sure = min(max(confidence, 0.5), USUAL)
+    sure = min(max(confidence, 0.5), USUAL_CONFIDENCE)
     return math.log(sure / (1 - sure)) * (1 if holds else -1)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from jrdb_avr.agent.simulated.profiles import PROFILES, USUAL, parse_errors
+from jrdb_avr.agent.simulated.profiles import PROFILES, USUAL_PROFILE, parse_errors
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.queries.store import Store
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--simulate", action="append", default=[], metavar="KEY=VALUE", help="change one setting")
     options = parser.parse_args()
     try:
-        errors = parse_errors(options.simulate, PROFILES[options.profile or USUAL])
+        errors = parse_errors(options.simulate, PROFILES[options.profile or USUAL_PROFILE])
         sight = Sight(Store(options.store))
         server = Server(sight, errors if options.profile or options.simulate else None, options.port)
     except AvrError as error:

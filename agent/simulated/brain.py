@@ -24,9 +24,9 @@ from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.perceive.readings import PersonReading
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.simulated.fields import describe
-from jrdb_avr.agent.simulated.noise import ReadPerson, View
+from jrdb_avr.agent.simulated.noise import PictureView, ReadPerson
 from jrdb_avr.agent.simulated.play_tools import tools_turn
-from jrdb_avr.agent.simulated.requests import Look, Play, Reply, Request
+from jrdb_avr.agent.simulated.requests import Look, Play, PlayedReply, Request
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, iou
@@ -94,7 +94,7 @@ class Thought:
 
 
 @lru_cache(4096)
-def _read(people: tuple[ReadPerson, ...], view: View, name: str, fields: tuple[Field, ...]) -> _Readings:
+def _read(people: tuple[ReadPerson, ...], view: PictureView, name: str, fields: tuple[Field, ...]) -> _Readings:
     """Return the people of a picture under the model's identities, as readings of the fields."""
     said = describe(people, [field.key for field in fields], view.size)
     numbers = {entity: number for number, entity in enumerate(said, 1)}
@@ -116,7 +116,7 @@ def _bbox(look: Look, box: Box) -> dict[str, Any]:
 # -- methods that look ------------------------------------------------------------------------------------------------
 
 
-def _react(request: Request) -> Reply:
+def _react(request: Request) -> PlayedReply:
     """Play a turn of ReAct: the next look, or the answer with the person's box in the newest picture."""
     thought, left = Thought(request), request.left("Looks made: ")
     request.legal()
@@ -153,7 +153,7 @@ def _placed(frame: int, angle: float) -> dict[str, Any]:
     return {"frame_id": f"{frame:06d}", "angle_deg": round(angle % 360.0, 3) % 360.0}
 
 
-def _chat(request: Request) -> Reply:
+def _chat(request: Request) -> PlayedReply:
     """Play a turn of an agent without a world model: the next look, or the final answer."""
     thought, looks = Thought(request), request.looks
     if not any(look.panorama for look in looks):
@@ -169,20 +169,20 @@ def _chat(request: Request) -> Reply:
     return {"calls": [call]}
 
 
-def _agent(request: Request) -> Reply:
+def _agent(request: Request) -> PlayedReply:
     """Play a turn of an agent, with or without a world model."""
     return tools_turn(request) if request.line("World: ") is not None else _chat(request)
 
 
-def _plan(request: Request) -> Reply:
-    """Reply the question's plan. A refused plan is repeated, because the words have no other reading."""
+def _plan(request: Request) -> PlayedReply:
+    """PlayedReply the question's plan. A refused plan is repeated, because the words have no other reading."""
     return dict(msgspec.to_builtins(request.plan))
 
 
 # -- methods with fixed pictures --------------------------------------------------------------------------------------
 
 
-def _answer_at_once(request: Request) -> Reply:
+def _answer_at_once(request: Request) -> PlayedReply:
     """Answer and box from all panoramas."""
     thought = Thought(request)
     conclusion = thought.conclude()
@@ -190,7 +190,7 @@ def _answer_at_once(request: Request) -> Reply:
     return {"answer": thought.answer(conclusion), "evidence_bboxes": boxes}
 
 
-def _write_facts(request: Request) -> Reply:
+def _write_facts(request: Request) -> PlayedReply:
     """Write one sentence: the panorama and the angle that show the person."""
     found = Thought(request).conclude()
     if found is None:
@@ -199,12 +199,12 @@ def _write_facts(request: Request) -> Reply:
     return {"reasoning": [f"Frame {found.frame:06d} shows the person at panorama angle {angle:.0f}."]}
 
 
-def _propose(request: Request) -> Reply:
+def _propose(request: Request) -> PlayedReply:
     """Box the person in one of the panoramas."""
     return {"evidence_bboxes": _answer_at_once(request)["evidence_bboxes"]}
 
 
-def _refine(request: Request) -> Reply:
+def _refine(request: Request) -> PlayedReply:
     """Box the person in the middle of the crop, which is centred on the proposed box."""
     crop = next((look for look in request.looks if not look.panorama), None)
     if crop is None:
@@ -215,7 +215,7 @@ def _refine(request: Request) -> Reply:
     return {"evidence_bboxes": boxes}
 
 
-def _choose(request: Request) -> Reply:
+def _choose(request: Request) -> PlayedReply:
     """Answer about the person in the refined box."""
     thought = Thought(request)
     try:

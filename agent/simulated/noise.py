@@ -85,7 +85,7 @@ class Draws:
 
 
 @dataclass(frozen=True)
-class View:
+class PictureView:
     """A picture: the sequence, the frame, and the columns [left, left + width) that it shows, in stitched pixels."""
 
     sequence: str
@@ -183,7 +183,7 @@ class Reader:
     """Reads the people of one picture, with errors."""
 
     errors: Errors
-    view: View
+    view: PictureView
 
     def people(self, everyone: Sequence[Person]) -> tuple[ReadPerson, ...]:
         """Return the people who are read in the picture, from left to right.

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.simulated.fields import NEAREST, START, describe, read_fields
-from jrdb_avr.agent.simulated.requests import Look, Reply, Request
+from jrdb_avr.agent.simulated.requests import Look, PlayedReply, Request
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import angle_error
 
@@ -34,7 +34,7 @@ _LOOKS: Final = msgspec.json.Decoder(list[Any])
 _WRITTEN: Final = re.compile(r"\d+\. add_people: (o\d+): ")
 
 
-def tools_turn(request: Request) -> Reply:
+def tools_turn(request: Request) -> PlayedReply:
     """Play a turn.
 
     Args:

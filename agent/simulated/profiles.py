@@ -69,7 +69,7 @@ PROFILES: Final = {
 """Profiles by name. `recorded` takes boxes and postures from a file, which `readings` names."""
 
 SIMULATED: Final = "simulated"
-USUAL: Final = "realistic"
+USUAL_PROFILE: Final = "realistic"
 """Profile of the model `simulated`."""
 
 
@@ -88,7 +88,7 @@ def profile_of(model: str) -> Errors | None:
     family, _, name = model.partition(":")
     if family != SIMULATED:
         return None
-    name = name or USUAL
+    name = name or USUAL_PROFILE
     if name not in PROFILES:
         raise InputError(f"{model[:60]!r}: the simulated model's profiles are {', '.join(PROFILES)}", field="model")
     return PROFILES[name]

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from jrdb_avr.agent.model.prompts import read_frame_ranges
-from jrdb_avr.agent.simulated.noise import ReadPerson, View
+from jrdb_avr.agent.simulated.noise import PictureView, ReadPerson
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, crop_left
@@ -39,7 +39,7 @@ class Look:
     """
 
     name: str
-    view: View
+    view: PictureView
     people: tuple[ReadPerson, ...]
 
     @property
@@ -98,10 +98,10 @@ class Request:
         return int(found[1])
 
 
-Reply = Mapping[str, Any]
-"""Reply to a stage."""
+PlayedReply = Mapping[str, Any]
+"""PlayedReply to a stage."""
 
-Play = Callable[[Request], Reply]
+Play = Callable[[Request], PlayedReply]
 """Player of one stage: a pure function of the request. It raises DecodeError if the request lacks a line."""
 
 
@@ -135,7 +135,7 @@ class MessagePart(msgspec.Struct):
 UserMessage = list[MessagePart]
 """Parts of a user message."""
 
-See = Callable[[View], tuple[ReadPerson, ...]]
+See = Callable[[PictureView], tuple[ReadPerson, ...]]
 """Reader of a picture: returns the people who are read."""
 
 
@@ -218,16 +218,16 @@ def _looks(parts: UserMessage, see: See, sequence: str | None) -> Iterator[Look]
             found.append((name, place, part))
     for name, place, picture in found:
         if picture is not None and picture.jrdb_avr is not None:
-            view = view_of(picture.jrdb_avr)
+            view = picture_view(picture.jrdb_avr)
         elif place is None or (picture is not None and sequence is None):
             raise DecodeError("a picture has no reference: declare the run simulated (--simulated)")
         else:
-            view = view_of(Reference(sequence or "", int(place.frame_id), place.angle_deg))
+            view = picture_view(Reference(sequence or "", int(place.frame_id), place.angle_deg))
         yield Look(name, view, () if picture is None else see(view))
 
 
-def view_of(reference: Reference) -> View:
+def picture_view(reference: Reference) -> PictureView:
     """Return the part of a panorama that a picture shows."""
     whole = reference.angle is None
     left, width = (0.0, WIDTH) if whole else (crop_left(reference.angle or 0.0), CROP)
-    return View(reference.sequence, reference.frame, left, width)
+    return PictureView(reference.sequence, reference.frame, left, width)

@@ -25,10 +25,10 @@ from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.labelled_people import PERSON_LINE
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
 from jrdb_avr.agent.simulated.brain import STAGES
-from jrdb_avr.agent.simulated.noise import Draws, Reader, ReadPerson, View
-from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
+from jrdb_avr.agent.simulated.noise import Draws, PictureView, Reader, ReadPerson
+from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL_PROFILE, Errors
 from jrdb_avr.agent.simulated.recorded import RecordedReader, load_readings
-from jrdb_avr.agent.simulated.requests import MessagePart, See, UserMessage, lines_of, read_request, view_of
+from jrdb_avr.agent.simulated.requests import MessagePart, See, UserMessage, lines_of, picture_view, read_request
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, tool_calls, user_turns, with_stage
 from jrdb_avr.schema.errors import DecodeError
@@ -75,7 +75,7 @@ class Server(ThreadingHTTPServer):
         # Every turn sends all pictures again.
         self._see = functools.lru_cache(_PICTURES)(self._read)
 
-    def _read(self, errors: Errors, view: View) -> tuple[ReadPerson, ...]:
+    def _read(self, errors: Errors, view: PictureView) -> tuple[ReadPerson, ...]:
         """Return the people who are read in a picture."""
         if self._sight is None:
             raise DecodeError("the simulated model has no store to read annotations from")
@@ -111,7 +111,7 @@ class Server(ThreadingHTTPServer):
         if message.stream:
             raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
         turns = with_stage(user_turns(message.messages), message.tools)
-        profile = PROFILES.get(message.model.removeprefix(f"{SIMULATED}:"), PROFILES[USUAL])
+        profile = PROFILES.get(message.model.removeprefix(f"{SIMULATED}:"), PROFILES[USUAL_PROFILE])
         errors = self._errors or profile
         see = functools.partial(self._see, errors)
         # Only programs that declare tools may send pictures without references.
@@ -223,7 +223,7 @@ def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
         raise DecodeError("the request names no box, or its picture has no reference")
     left, top, right, bottom = (side * CROP / SCALE for side in msgspec.json.decode(box[1], type=list[int]))
     asked = Box(left, top, right - left, bottom - top)
-    people = [person for person in see(view_of(reference)) if iou(person.box, asked) > 0]
+    people = [person for person in see(picture_view(reference)) if iou(person.box, asked) > 0]
     best = max(people, key=lambda person: iou(person.box, asked), default=None)
     return {name: (best and best.label(name)) or "cannot tell" for name in ("gender", "age", "pose")}
 

@@ -97,7 +97,7 @@ class Conclusion(msgspec.Struct):
     support: str = ""
 
 
-class Decision(msgspec.Struct):
+class GraphDecision(msgspec.Struct):
     """The end of a question that a world model decided, as the run recorded it."""
 
     bindings: list[Binding]
@@ -208,10 +208,10 @@ def plan_of(transcript: Transcript) -> Plan | None:
         return None
 
 
-def decision_of(transcript: Transcript) -> Decision | None:
+def decision_of(transcript: Transcript) -> GraphDecision | None:
     """Return the last recorded decision of the world model, or None."""
     texts = [step["response"] for step in transcript.steps if step["kind"] == "solve"]
-    return next((found for text in reversed(texts) if (found := _decoded(text, Decision))), None)
+    return next((found for text in reversed(texts) if (found := _decoded(text, GraphDecision))), None)
 
 
 def _stated(step: StoredRow) -> tuple[GraphState | None, list[AdvisedLook]]:

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from jrdb_avr.agent.simulated.noise import CONFUSED, Reader, View
+from jrdb_avr.agent.simulated.noise import CONFUSED, PictureView, Reader
 from jrdb_avr.agent.simulated.people import Person
 from jrdb_avr.agent.simulated.profiles import PERFECT, PROFILES, changed_errors, parse_errors, profile_of
 from jrdb_avr.schema.errors import InputError
@@ -23,7 +23,7 @@ def person(track, pose="standing", height=150.0, **labels):
 
 def read(errors, track, frame=0, left=0.0, **known):
     """One person in one picture; None if missed."""
-    view = View("s", frame, left, 480.0)
+    view = PictureView("s", frame, left, 480.0)
     everyone = [person(track, **known)]
     return next((one for one in Reader(errors, view).people(everyone) if one.person.track == track), None)
 
@@ -90,19 +90,19 @@ def test_misses_last():
 def test_covered_people_are_missed_more_often():
     front = person(1)
     behind = [Person(track, front.box._replace(h=140.0), person(2).labels) for track in range(2, N)]
-    reader = Reader(REALISTIC, View("s", 0, 0.0, 480.0))
+    reader = Reader(REALISTIC, PictureView("s", 0, 0.0, 480.0))
     assert all(other.track not in {one.person.track for one in reader.people([front, other])} for other in behind)
 
 
 def ghosts(frame, left=0.0, width=float(WIDTH), errors=REALISTIC, sequence="s"):
-    return {one.identity: one for one in Reader(errors, View(sequence, frame, left, width)).people([])}
+    return {one.identity: one for one in Reader(errors, PictureView(sequence, frame, left, width)).people([])}
 
 
 def test_ghosts_are_false_people_that_stay():
-    everywhere = [Reader(REALISTIC, View(f"s{n}", 30, 0, WIDTH))._ghosts() for n in range(400)]
+    everywhere = [Reader(REALISTIC, PictureView(f"s{n}", 30, 0, WIDTH))._ghosts() for n in range(400)]
     assert sum(map(len, everywhere)) / 400 == pytest.approx(4.5, abs=0.3)
     assert all(23 <= one.box.h <= 80 and one.track < 0 for many in everywhere for one in many)
-    again = [[one.track for one in Reader(REALISTIC, View(f"s{n}", 45, 0, WIDTH))._ghosts()] for n in range(400)]
+    again = [[one.track for one in Reader(REALISTIC, PictureView(f"s{n}", 45, 0, WIDTH))._ghosts()] for n in range(400)]
     stayed = share(one.track in later for many, later in zip(everywhere, again, strict=True) for one in many)
     assert stayed == pytest.approx(0.75, abs=0.03)
     shown = share(one.track in ghosts(30, sequence=f"s{n}") for n, many in enumerate(everywhere) for one in many)
@@ -127,7 +127,7 @@ def test_one_in_twenty_is_taken_for_another_person_and_one_for_a_new_one():
     known, other, new, pairs = 0, 0, 0, 0
     for n in range(60):
         named = [
-            Reader(REALISTIC, View(f"s{n}", frame, 0, WIDTH))._identities([one.track for one in everyone])
+            Reader(REALISTIC, PictureView(f"s{n}", frame, 0, WIDTH))._identities([one.track for one in everyone])
             for frame in (0, 30)
         ]
         for identities in named:
@@ -148,7 +148,7 @@ def test_equal_pictures_are_read_alike_in_any_order():
     everyone = [person(track, height=60.0 + 10 * track) for track in range(1, 12)]
 
     def listed(people):
-        found = Reader(REALISTIC, View("s", 30, 0.0, 480.0)).people(people)
+        found = Reader(REALISTIC, PictureView("s", 30, 0.0, 480.0)).people(people)
         return [(one.identity, one.box, one.label("pose"), one.holds("action", "reading")) for one in found]
 
     assert listed(everyone) == listed(everyone[::-1])

@@ -5,7 +5,7 @@ import json
 import pytest
 from environment import REAL
 
-from jrdb_avr.agent.simulated.noise import View
+from jrdb_avr.agent.simulated.noise import PictureView
 from jrdb_avr.agent.simulated.people import Person
 from jrdb_avr.agent.simulated.profiles import PROFILES, parse_errors
 from jrdb_avr.agent.simulated.recorded import RecordedReader
@@ -22,7 +22,7 @@ SEQUENCE = "gates-ai-lab-2019-02-08_0"
 
 
 def read(errors, frame, angle, everyone):
-    return RecordedReader(errors, View("s", frame, crop_left(angle), CROP)).people(everyone)
+    return RecordedReader(errors, PictureView("s", frame, crop_left(angle), CROP)).people(everyone)
 
 
 def test_readings_have_the_identity_of_the_person_whom_they_overlap(tmp_path):
@@ -61,7 +61,7 @@ def test_real_readings_show_two_fifths_of_the_people(tmp_path):
     met = people = ghosts = 0
     for frame in range(15, 91, 15):
         everyone = sight.people(SEQUENCE, frame)
-        found = RecordedReader(errors, View(SEQUENCE, frame, 0.0, WIDTH)).people(everyone)
+        found = RecordedReader(errors, PictureView(SEQUENCE, frame, 0.0, WIDTH)).people(everyone)
         known = {one.identity: one for one in found if one.identity >= 0}
         assert all(iou(one.box, one.person.box) >= 0.4 for one in known.values())
         met, people, ghosts = met + len(known), people + len(everyone), ghosts + len(found) - len(known)

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from jrdb_avr.agent.simulated.noise import Reader, View
+from jrdb_avr.agent.simulated.noise import PictureView, Reader
 from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.loaders.load import load
@@ -111,7 +111,7 @@ def test_people_are_those_of_the_label_files(sight, raw):
 
 def test_a_perfect_model_reads_what_is_annotated(sight):
     everyone = sight.people(SEQUENCE, 60)
-    read = Reader(PERFECT, View(SEQUENCE, 60, 0.0, WIDTH)).people(everyone)
+    read = Reader(PERFECT, PictureView(SEQUENCE, 60, 0.0, WIDTH)).people(everyone)
     assert {one.identity for one in read} == {person.track for person in everyone}
     for one in read:
         assert all(one.holds("action", action) for action in one.person.labels.get("action", ()))
@@ -125,7 +125,7 @@ def test_pictures_over_the_seam_show_each_person_once(sight):
     for frame in FRAMES:
         everyone = sight.people(SEQUENCE, frame)
         for left in range(0, WIDTH, 94):
-            view = View(SEQUENCE, frame, float(left), 480.0)
+            view = PictureView(SEQUENCE, frame, float(left), 480.0)
             shown = {one.identity: one.box for one in Reader(PERFECT, view).people(everyone)}
             for person in everyone:
                 middle = (person.box.x + person.box.w / 2 - left) % WIDTH
