@@ -1,4 +1,4 @@
-"""World model of an agent: an append-only graph of what the agent read, whose statements decide the answer.
+"""World model of an agent: an append-only graph of what the agent read. Its statements decide the answer.
 
 Each question has an episode. A write that names a look that was not made, or an entity without a sighting, is refused
 and changes nothing. Statements sum the evidence of each slot of the plan for each entity and pair; `join` combines
