@@ -308,7 +308,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         slots: Parts of an accepted plan.
         looks: New looks.
         entities: New entities.
-        listed: Looks whose people the write lists.
+        listed: Looks with people that the write lists.
         sighted: New sightings.
         has: New attributes.
         related: New relations.

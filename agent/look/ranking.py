@@ -172,6 +172,7 @@ def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]
         The bindings, the best first. Bindings with equal log-odds are in the order of the entities' names.
     """
     edges, people = edges_of(plan), sorted({entity for _, entity in alone})
+    missing = [edge.evidence(0.0) for edge in edges]
     beam: list[tuple[float, dict[str, str]]] = [(0.0, {})]
     for node, joins in search_order(plan):
         grown = []
@@ -183,7 +184,7 @@ def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]
                     for index, _ in joins:
                         source, target = (nodes.get(end) for end in edges[index].nodes)
                         if source is not None and target is not None:
-                            total += pairs.get((index, source, target), edges[index].evidence(0.0))
+                            total += pairs.get((index, source, target), missing[index])
                     grown.append((total, nodes))
         # Because the graph stores rounded sums, evidence that differs less is equal.
         order = sorted(grown, key=lambda binding: (-round(binding[0], 6), *binding[1].values()))

@@ -136,7 +136,7 @@ def calibrate(
     Args:
         client: The client of the model's server.
         n: The number of pictures of rectangles.
-        people: The labelled people, each of whom needs three requests.
+        people: The labelled people. Each one needs three requests.
         advance: Called with 1 after each reply.
 
     Returns:

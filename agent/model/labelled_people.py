@@ -1,4 +1,4 @@
-"""Request the labels of people whose labels are known, and find the errors in the replies."""
+"""Request the labels of annotated people, and find the errors in the replies."""
 
 from __future__ import annotations
 

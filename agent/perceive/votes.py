@@ -91,7 +91,9 @@ def fuse(votes: Iterable[Vote], frame: int | None, repeats: Repeats = USUAL_REPE
         sums[at] += vote
     if not sums:
         return 0.0
-    nearest = next(iter(sums)) if frame is None else min(sums, key=lambda at: (abs(at - frame), at))
+    nearest = next(iter(sums))
+    if frame is not None and len(sums) > 1:
+        nearest = min(sums, key=lambda at: (abs(at - frame), at))
     total = sum(
         vote * (1.0 if at == nearest else repeats.person) * (1.0 if frame is None else decay(at - frame))
         for at, vote in sums.items()

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class ReferenceAgent:
     """The reference agent. The variant follows from `world` and `looks`.
 
-    world: the world model of the run. None makes the variant without plan and world model, whose memory is a chat.
+    world: the world model of the run. None makes the variant without plan and world model, with a chat as its memory.
     looks: whether the agent looks. If not, it gets panoramas. advice: whether turns advise looks. history: number of
     newest pictures that a chat sends, None for all.
     """

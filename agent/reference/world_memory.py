@@ -261,7 +261,10 @@ class WorldMemory:
             self._conclusion = self.world.conclude(task.question.choices, task.sequence.frames)
         return self._bindings
 
-    def _concluded(self) -> Conclusion | None:
+    def _concluded(self, anew: bool = False) -> Conclusion | None:
+        """Return what the graph supports. `anew` reads the graph again, because only the graph decides an answer."""
+        if anew:
+            self._bindings = None
         self._likely()
         return self._conclusion
 
@@ -318,7 +321,7 @@ class WorldMemory:
         self.proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
             raise DecodeError("entity must be the id of the plan's target")
-        conclusion = self._concluded()
+        conclusion = self._concluded(anew=True)
         looks = self.advised_looks(left)
         reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
@@ -362,7 +365,7 @@ class WorldMemory:
         Returns:
             The answer.
         """
-        return self._answer(self._concluded(), None, reason, step)
+        return self._answer(self._concluded(anew=True), None, reason, step)
 
     def _answer(self, conclusion: Conclusion | None, accepted: Answer | None, reason: str, step: int) -> ParsedReply:
         """Write the answer of the question to the graph, and return it. Without a conclusion, it is a guess."""

@@ -1,6 +1,6 @@
 """Play the stages of all methods without a world model, each named by the last line of a request.
 
-All stages share one engine. The model reads every picture of the conversation, ranks the people whom the question may
+All stages share one engine. The model reads every picture of the conversation, ranks the people that the question may
 mean, and then asks for the look that tells most, or answers. So the baselines choose their looks as well as the agent.
 The plan of a question is the program that the question's words mean.
 """
@@ -98,9 +98,9 @@ def _read(people: tuple[ReadPerson, ...], view: PictureView, name: str, fields: 
     """Return the people of a picture under the model's identities, as readings of the fields."""
     said = describe(people, [field.key for field in fields], view.size)
     numbers = {entity: number for number, entity in enumerate(said, 1)}
-    place = name, view.frame, view.left, view.size
+    picture = name, view.frame, view.left, view.size
     return tuple(
-        (entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT))
+        (entity, read_person(value, numbers[entity], numbers, fields, *picture, CONTRACT))
         for entity, value in said.items()
     )
 
@@ -162,10 +162,10 @@ def _chat(request: Request) -> PlayedReply:
             return {"calls": [{"tool": "observe", **_placed(look.frame, look.angle)}]}
     conclusion = thought.conclude()
     # Without a person, the call has no box. It is refused, and the question ends with an answer alone.
-    place: dict[str, Any] = {"observation": looks[-1].name if looks else "o1", "box": []}
+    evidence: dict[str, Any] = {"observation": looks[-1].name if looks else "o1", "box": []}
     for shown, box in thought.evidence(conclusion, looks)[:1]:
-        place = {"observation": shown.name, "box": write_box(box, shown.view.size)}
-    call = {"tool": "final_answer", "answer": thought.answer(conclusion), **place}
+        evidence = {"observation": shown.name, "box": write_box(box, shown.view.size)}
+    call = {"tool": "final_answer", "answer": thought.answer(conclusion), **evidence}
     return {"calls": [call]}
 
 
@@ -192,11 +192,11 @@ def _answer_at_once(request: Request) -> PlayedReply:
 
 def _write_facts(request: Request) -> PlayedReply:
     """Write one sentence: the panorama and the angle that show the person."""
-    found = Thought(request).conclude()
-    if found is None:
+    conclusion = Thought(request).conclude()
+    if conclusion is None:
         return {"reasoning": ["No person in the pictures fits the description."]}
-    angle = center_angle(found.box.x, found.box.w)
-    return {"reasoning": [f"Frame {found.frame:06d} shows the person at panorama angle {angle:.0f}."]}
+    angle = center_angle(conclusion.box.x, conclusion.box.w)
+    return {"reasoning": [f"Frame {conclusion.frame:06d} shows the person at panorama angle {angle:.0f}."]}
 
 
 def _propose(request: Request) -> PlayedReply:

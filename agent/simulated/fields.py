@@ -38,7 +38,7 @@ def say(key: str, person: ReadPerson, people: Sequence[ReadPerson]) -> Any:
 
     Args:
         key: Key of the field, such as "gender", "action reading" or "relation hugging".
-        person: Person whom the field describes.
+        person: The described person.
         people: All people of the reply, in its order.
 
     Returns:

@@ -126,9 +126,9 @@ class ReadPerson:
         if len(values) != 1 or self.person.track < 0:
             return next(iter(values)) if len(values) == 1 else None
         (value,) = values
-        other, rate = CONFUSED.get(value, ("", 0.0))
+        confused, rate = CONFUSED.get(value, ("", 0.0))
         if name == "pose" and self._slip(rate * errors.pose, "confused") is not None:
-            return other
+            return confused
         if name != "pose" and self._slip(errors.dropped, "dropped", name) is not None:
             return None
         rate = errors.wrong + (0.0 if name == "pose" else errors.added)
@@ -154,15 +154,15 @@ class ReadPerson:
         tied, errors = self.person.ties.get(relation), self.reader.errors
         if tied is None:
             return None
-        others = {other.person.track: number for number, other in enumerate(people, 1) if other is not self}
-        found = set()
+        others = {partner.person.track: number for number, partner in enumerate(people, 1) if partner is not self}
+        positions = set()
         for track in tied & others.keys():
             first, last = sorted((self.person.track, track))
             if self.reader.slip(first, errors.dropped + errors.wrong, "dropped", relation, first, last) is None:
-                found.add(others[track])
+                positions.add(others[track])
         if others and (slip := self._slip(errors.added + errors.wrong, "added", relation)) is not None:
-            found.add(others[slip.pick(sorted(others), "with", relation)])
-        return sorted(found)
+            positions.add(others[slip.pick(sorted(others), "with", relation)])
+        return sorted(positions)
 
     @property
     def metres(self) -> float | None:
@@ -254,8 +254,8 @@ class Reader:
         for track in order:
             # A person is confused at both ends of a pair of frames, and a swap confuses two people.
             if self._frame(track).happens(rate / 2, "swapped") and len(order) > 1:
-                other = self._frame(track).pick([each for each in order if each != track], "with")
-                identities[track], identities[other] = identities[other], identities[track]
+                partner = self._frame(track).pick([each for each in order if each != track], "with")
+                identities[track], identities[partner] = identities[partner], identities[track]
         for track in order:
             if self._frame(track).happens(rate, "new"):
                 identities[track] = (self.view.frame + 1) * 1_000_000 + track
@@ -292,11 +292,11 @@ class Reader:
 def _covered_share(box: Box, boxes: Sequence[Box]) -> float:
     """Return the largest share of a box that one nearer person covers. The box with the lower end is nearer."""
     shares = (
-        max(min(box.x + box.w, other.x + other.w) - max(box.x, other.x), 0.0)
-        * max(min(box.y + box.h, other.y + other.h) - max(box.y, other.y), 0.0)
+        max(min(box.x + box.w, cover.x + cover.w) - max(box.x, cover.x), 0.0)
+        * max(min(box.y + box.h, cover.y + cover.h) - max(box.y, cover.y), 0.0)
         / (box.w * box.h)
-        for other in boxes
-        if other.y + other.h > box.y + box.h
+        for cover in boxes
+        if cover.y + cover.h > box.y + box.h
     )
     return min(max(shares, default=0.0), 1.0)
 

@@ -92,10 +92,10 @@ class Request:
 
     def left(self, start: str) -> int:
         """Return the rest of a budget, by the line that begins with a text. Raise DecodeError if it is missing."""
-        found = re.match(r"\d+, left: (\d{1,9})$", self.line(start) or "")
-        if not found:
+        match = re.match(r"\d+, left: (\d{1,9})$", self.line(start) or "")
+        if not match:
             raise DecodeError(f"the prompt lacks a line {start!r} with a count")
-        return int(found[1])
+        return int(match[1])
 
 
 PlayedReply = Mapping[str, Any]
@@ -188,7 +188,7 @@ def _choices(lines: Sequence[str]) -> tuple[str, ...]:
     """Return the numbered lines after the line `Choices:`."""
     after = lines[lines.index("Choices:") + 1 :] if "Choices:" in lines else ()
     numbered = itertools.takewhile(bool, map(_CHOICE.fullmatch, after))
-    return tuple(found[1] for found in numbered if found)
+    return tuple(match[1] for match in numbered if match)
 
 
 # -- its pictures -----------------------------------------------------------------------------------------------------
@@ -205,24 +205,24 @@ _METADATA: Final = msgspec.json.Decoder(_Metadata)
 
 
 def _looks(parts: UserMessage, see: See, sequence: str | None) -> Iterator[Look]:
-    """Yield the pictures of a message. A picture that is announced, but not sent any more, shows nobody."""
-    found: list[tuple[str, _Metadata | None, MessagePart | None]] = []
+    """Yield the pictures of a message. A picture that is announced, but not sent any more, shows no person."""
+    announced: list[tuple[str, _Metadata | None, MessagePart | None]] = []
     for part in parts:
         for line in filter(None, map(_ANNOUNCED.fullmatch, part.text.split("\n"))):
             try:
-                found.append((line[1] or "", _METADATA.decode(line[2]), None))
+                announced.append((line[1] or "", _METADATA.decode(line[2]), None))
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
         if part.image_url is not None:
-            name, place, _ = found.pop() if found and found[-1][2] is None else ("", None, None)
-            found.append((name, place, part))
-    for name, place, picture in found:
+            name, metadata, _ = announced.pop() if announced and announced[-1][2] is None else ("", None, None)
+            announced.append((name, metadata, part))
+    for name, metadata, picture in announced:
         if picture is not None and picture.jrdb_avr is not None:
             view = picture_view(picture.jrdb_avr)
-        elif place is None or (picture is not None and sequence is None):
+        elif metadata is None or (picture is not None and sequence is None):
             raise DecodeError("a picture has no reference: declare the run simulated (--simulated)")
         else:
-            view = picture_view(Reference(sequence or "", int(place.frame_id), place.angle_deg))
+            view = picture_view(Reference(sequence or "", int(metadata.frame_id), metadata.angle_deg))
         yield Look(name, view, () if picture is None else see(view))
 
 

@@ -207,13 +207,13 @@ def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
         return msgspec.json.encode(_picture_reply(last, parts)).decode()
     if last == PERSON_LINE:
         return msgspec.json.encode(_person_reply(text, parts, see)).decode()
-    if found := _OBJECT.search(text):
-        return found[1]
+    if match := _OBJECT.search(text):
+        return match[1]
     if form is not None and form["type"] == "json_schema":
         properties = form["json_schema"]["schema"].get("properties", {})
         return msgspec.json.encode({name: value.get("enum", [None])[0] for name, value in properties.items()}).decode()
-    found = _WORD.search(text)
-    return found[1] if found else '{"ok":true}'
+    match = _WORD.search(text)
+    return match[1] if match else '{"ok":true}'
 
 
 def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:

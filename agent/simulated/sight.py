@@ -1,6 +1,6 @@
 """People at each frame of a store's sequences, read from the annotations.
 
-A frame between two labelled frames shows the labels of the nearest labelled frame. People whom the annotations call
+A frame between two labelled frames shows the labels of the nearest labelled frame. People that the annotations call
 covered are not in the list, because they count for no question.
 """
 
@@ -56,10 +56,10 @@ class Sight:
     def sequences(self) -> Mapping[str, str]:
         """Sequence of each question by its text. Texts of questions about several sequences are left out."""
         table = self._store.questions("questions", ["question", "sequence"])
-        found: dict[str, set[str]] = defaultdict(set)
+        table: dict[str, set[str]] = defaultdict(set)
         for text, sequence in zip(table["question"].to_pylist(), table["sequence"].to_pylist(), strict=True):
-            found[text].add(sequence)
-        return {text: sequence for text, (sequence, *others) in found.items() if not others}
+            table[text].add(sequence)
+        return {text: sequence for text, (sequence, *others) in table.items() if not others}
 
     def people(self, sequence: str, frame: int) -> tuple[Person, ...]:
         """Return the people of a frame.
@@ -135,21 +135,21 @@ class _Sequence:
 
     def _labels(self, frame: int) -> dict[int, dict[str, set[str]]]:
         """Return the labels of each person at a frame: poses, other actions and handled things."""
-        found: dict[int, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+        table: dict[int, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
         for track, action in self._actions.rows(frame):
-            found[track]["pose" if action in POSES else "action"].add(action)
+            table[track]["pose" if action in POSES else "action"].add(action)
         for track, thing, category, verb in self._handles.rows(frame):
             if name := self._things.get((thing, category)):
-                found[track]["object"].add(f"{verb}: {name}")
-        return found
+                table[track]["object"].add(f"{verb}: {name}")
+        return table
 
     def _social(self, frame: int) -> dict[int, dict[str, set[int]]]:
         """Return the partners of each person at a frame, by interaction."""
-        found: dict[int, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
+        table: dict[int, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
         for track, partner, label in self._interactions.rows(frame):
-            found[track][label].add(partner)
-            found[partner][label].add(track)
-        return found
+            table[track][label].add(partner)
+            table[partner][label].add(track)
+        return table
 
 
 _SIGHTING: Final = (
@@ -170,11 +170,11 @@ def _ties(row: Row, rows: Sequence[Row], social: Mapping[str, set[int]]) -> dict
     ties = {label: frozenset(partners) for label, partners in social.items()}
     if row["interactions_listed"]:
         ties = dict.fromkeys(INTERACTIONS, frozenset[int]()) | ties
-    others = [other for other in rows if other is not row]
+    others = [neighbor for neighbor in rows if neighbor is not row]
     if row["cluster"] is not None:
-        ties[SAME_GROUP] = frozenset(other["track"] for other in others if other["cluster"] == row["cluster"])
+        ties[SAME_GROUP] = frozenset(neighbor["track"] for neighbor in others if neighbor["cluster"] == row["cluster"])
     if row["located"] and row["heading"] is not None:
-        sides = {other["track"]: _side(row, other) for other in others if other["located"]}
+        sides = {neighbor["track"]: _side(row, neighbor) for neighbor in others if neighbor["located"]}
         ties |= {label: frozenset(track for track in sides if sides[track] == label) for label in _PERSON_TIES}
     return ties
 

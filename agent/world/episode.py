@@ -1,4 +1,4 @@
-"""World model of an agent: an append-only graph of what the agent read, whose statements decide the answer.
+"""World model of an agent: an append-only graph of what the agent read. Its statements decide the answer.
 
 Each question has an episode. A write that names a look that was not made, or an entity without a sighting, is refused
 and changes nothing. Statements sum the evidence of each slot of the plan for each entity and pair; `join` combines
@@ -303,10 +303,11 @@ class WorldEpisode:
         has = tuple(AttributeRow(*self._ends(entity, look), *shared, *columns) for entity, *columns in values)
         related = tuple(
             RelationRow(
-                f"{self.key}/{source}", f"{self.key}/{target}", *shared, frame, name, log_odds, weight, look.id, origin
+                f"{self.key}/{row.source}", f"{self.key}/{row.target}", self.key, self._rows.written, step, row.frame,
+                row.name, row.log_odds, row.weight, look.id, row.origin,
             )
-            for source, target, frame, name, log_odds, weight, origin in relations
-        )
+            for row in relations
+        )  # fmt: skip
         return msgspec.structs.replace(fact, has=has, related=related)
 
     def _ends(self, entity: str, look: LookRow) -> tuple[str, str]:
@@ -391,7 +392,8 @@ class WorldEpisode:
         """Return the readings that the graph has."""
         self._settle()
         names = ("sightings", "attributes", "relations", "looks")
-        return assemble_tracks(*(self._rows_of(name) for name in names), self.tracks.repeats)
+        sightings, attributes, relations, looks = (self._rows_of(name) for name in names)
+        return assemble_tracks(sightings, attributes, relations, looks, self.tracks.repeats)
 
     def statements(self, people: Set[str]) -> list[dict[str, Any]]:
         """Return the statements that gave the bindings: name, parameters, and the rows about the given people."""

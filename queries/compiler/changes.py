@@ -38,17 +38,17 @@ def read_states(boxes: Iterable[Mapping[str, Any]], memberships: Iterable[Mappin
         for row in (row for row in rows if row["certain"] and row["who"] in frames):
             at = frames[row["who"]]
             span = at[bisect_left(at, row["first"]) : bisect_right(at, row["last"])]
-            others = [other for other in rows if other["who"] != row["who"] and _overlap(row, other)]
+            others = [rival for rival in rows if rival["who"] != row["who"] and _overlap(row, rival)]
             states[row["who"]] |= {frame: _state(others, frame) for frame in span}
     return dict(states)
 
 
-def _overlap(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    return bool(one["first"] <= other["last"] and other["first"] <= one["last"])
+def _overlap(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    return bool(first["first"] <= second["last"] and second["first"] <= first["last"])
 
 
 def _state(others: Sequence[Mapping[str, Any]], frame: int) -> bool | None:
-    certain = [other["certain"] for other in others if other["first"] <= frame <= other["last"]]
+    certain = [rival["certain"] for rival in others if rival["first"] <= frame <= rival["last"]]
     return True if any(certain) else None if certain else False
 
 
@@ -67,14 +67,14 @@ def first_change(states: States, after: int, wanted: bool) -> FirstChange:
     FirstChange(frames=(15, 30), certain=False)
     """
     frames: list[int] = []
-    previous, known = None, None
+    previous, decided = None, None
     for frame in (frame for frame in states if frame >= after):
         if previous is None or frame - previous > KEYFRAME_STEP:
-            known = None
+            decided = None
         elif states[frame] is not (not wanted) and states[previous] is not wanted:
             frames.append(frame)
         # Between a known state and its opposite there is certainly a change, so later frames are impossible.
-        if states[frame] is wanted and known is (not wanted):
+        if states[frame] is wanted and decided is (not wanted):
             return FirstChange(tuple(frames), len(frames) == 1)
-        previous, known = frame, known if states[frame] is None else states[frame]
+        previous, decided = frame, decided if states[frame] is None else states[frame]
     return FirstChange(tuple(frames), certain=False)

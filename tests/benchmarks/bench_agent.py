@@ -2,8 +2,8 @@
 
 All figures are synthetic: the simulated model answers. ROOT is a folder of annotations in JRDB's layout, or a store
 with questions. The benchmark takes 300 questions from ROOT and 100 questions of a sample, in turn from each template
-and sequence. Without ROOT, it takes the questions of the sample only. Each finished run is kept in the output folder, so
-a stopped benchmark continues. A whole comparison takes about two CPU hours.
+and sequence. Without ROOT, it takes the questions of the sample only. Each finished run is kept in the output folder.
+So a stopped benchmark continues. A whole comparison takes about two CPU hours.
 """
 
 from __future__ import annotations
