@@ -26,9 +26,9 @@ _CocoRecord = dict[str, Any]
 
 _PERSON: Final = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in SKELETON]}
 _SIDEWAYS: Final = 0.8
-"""Minimum turn from the robot at which the body covers the limbs behind it."""
+"""Minimum turn from the robot if the body covers the limbs behind it."""
 _AWAY: Final = -0.25
-"""Minimum turn from the robot at which the eyes are hidden."""
+"""Minimum turn from the robot if the eyes are hidden."""
 STUFF: Final = frozenset(
     ("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence", "glass")
 )

@@ -52,7 +52,7 @@ _SKINS: Final[tuple[Color, ...]] = ((180, 140, 115), (150, 110, 85), (110, 80, 6
 _HAIR: Final[tuple[Color, ...]] = ((40, 30, 25), (80, 55, 35), (110, 100, 95), (130, 100, 50))
 
 _AWAY: Final = -0.25
-"""Minimum turn from the robot at which a person hides the face and the held things."""
+"""Minimum turn from the robot if a person hides the face and the held things."""
 _RIGHT: Final = (R_SHOULDER, R_ELBOW, R_WRIST, R_HIP, R_KNEE, R_FOOT)
 _LEFT: Final = (L_SHOULDER, L_ELBOW, L_WRIST, L_HIP, L_KNEE, L_FOOT)
 

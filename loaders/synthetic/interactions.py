@@ -64,7 +64,7 @@ def interactions_of(rng: Rng, script: Script) -> RelationRuns:
 
 
 def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> dict[str, Bools]:
-    """Return the ticks at which each label holds between two members of a party."""
+    """Return the ticks of each label between two members of a party."""
     meeting = script.present[:, a] & script.present[:, b]
     together = meeting & ~script.apart[:, a] & ~script.apart[:, b]
     out: dict[str, Bools] = {}

@@ -12,7 +12,7 @@ from jrdb_avr.schema.rules import FPS
 LEAST_DISTANCE = 1.7
 """Minimum distance of people from the robot, in metres."""
 STEP_RISE = 0.2
-"""Speed at which stairs lead up, in metres per second."""
+"""Vertical speed on stairs, in metres per second."""
 
 
 def to_robot(robot: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -41,11 +41,11 @@ PATIENT: Final = 0.65
 They hold a pose for thirteen seconds or longer, change to another for a moment, and hold one again.
 """
 POSE_SECONDS: Final = (13, 22)
-"""Range of the seconds for which patient people hold a pose, without the upper bound."""
+"""Range of the seconds of a patient person's pose, without the upper bound."""
 HIDDEN: Final = 0.29
 """Share of parties behind the partitions."""
 SPREAD: Final = 0.4
-"""Maximum angle from its bearing at which a party in the open moves, in radians."""
+"""Maximum angle between the bearing and the motion of a party in the open, in radians."""
 
 ETHNICITIES: Final = ("Caucasian/White", "Negroid/Black", "Mongoloid/Asian", "Others")
 """Spellings in the label files."""
@@ -195,7 +195,7 @@ def _pick(rng: Rng, table: dict[str, float]) -> str:
 
 
 def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
-    """Return the ticks at which the party moves, and the pose of its members then."""
+    """Return the ticks with motion of the party, and the pose of its members then."""
     move = np.zeros(ticks, bool)
     shared = np.full(ticks, POSE["standing"], np.int64)
     tick = 0
@@ -226,7 +226,7 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
 
 
 _RESTS: Final = {(True, False): (8, 30), (False, False): (4, 15), (False, True): (30, 46)}
-"""Ranges of the seconds for which other, hidden and patient parties rest, without the upper bounds."""
+"""Ranges of the seconds of rest of other, hidden and patient parties, without the upper bounds."""
 
 
 def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
