@@ -40,7 +40,6 @@ TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 LANGUAGE_LATER = (
     "agent/reference/",
-    "loaders/synthetic/",
     "queries/beliefs/",
     "schema/plan.py",
 )

@@ -1,4 +1,4 @@
-"""The surroundings of the people of a sequence: walls with landmarks above, a tiled floor below."""
+"""Surroundings of the people of a sequence: walls with landmarks above, a tiled floor below."""
 
 from __future__ import annotations
 
@@ -17,14 +17,18 @@ _WALLS: Final[tuple[Color, ...]] = ((150, 145, 132), (132, 145, 150), (150, 138,
 _FLOORS: Final[tuple[Color, ...]] = ((118, 108, 96), (104, 108, 112), (112, 112, 98), (100, 96, 92))
 
 _FOOT: Final = 240
-"""Row where the walls meet the floor."""
+"""Row of the line between walls and floor."""
 _SLOTS: Final = 16
 _KINDS: Final = ("window", "door", "column", "poster", "vegetation")
 
 
 class Backdrop:
-    """The surroundings of a sequence, with the robot turned to where it starts: a panorama without people
-    (480, 3760, 3), and the segment of each of its pixels: 1 + its place in `categories`."""
+    """Panorama of a sequence without people, before the robot turns.
+
+    Attributes:
+        image: Pixels, (480, 3760, 3).
+        ids: Segment of each pixel: 1 + the index of its category in `categories`.
+    """
 
     def __init__(self, rng: Rng) -> None:
         wall, floor = one_of(rng, _WALLS), one_of(rng, _FLOORS)

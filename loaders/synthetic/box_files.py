@@ -1,4 +1,4 @@
-"""The box files of a simulated sequence, frame by frame: base 2D with actions and groups, and 3D.
+"""Write the box files of a simulated sequence frame by frame: base 2D with actions and groups, and 3D.
 
 The files state the truth of the world, with the annotators' habits of the real ones: hard labels (mostly of people who
 are covered), dropouts, several spellings of one value, and at low rates each awkward case that these layers hold. None
@@ -24,9 +24,9 @@ _Record = dict[str, Any]
 
 HARD_CODE: Final = 3
 ABSENT_PARTNER: Final = 9000
-"""Number of a person who is in no other record."""
+"""Number of a person without any other record."""
 FILE_ID_SHIFT: Final = 2
-"""Sequences numbered like the 2022 train release hold another file name inside than their key."""
+"""Digits of sequences with file names inside that differ from their keys, as in the 2022 train release."""
 
 
 def drawn_difficulty(world: World) -> tuple[Ints, Ints]:
@@ -48,7 +48,7 @@ def drawn_difficulty(world: World) -> tuple[Ints, Ints]:
 
 
 class Quirks:
-    """Which records are written in an awkward way; each a (frames, people) mask or one draw per record."""
+    """Records that are written in an awkward way. Each field is a (frames, people) mask or one draw per record."""
 
     def __init__(self, world: World) -> None:
         rng = world.rng("quirks")
@@ -113,7 +113,7 @@ class LabelFrame:
 
 
 def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
-    """The frames of `labels_2d_stitched/<sequence>.json`, in order."""
+    """Yield the frames of `labels_2d_stitched/<sequence>.json`, in order."""
     actions_level, group_level = drawn_difficulty(world)
     names = cluster_names(world)
     for frame in range(world.frames):
@@ -152,15 +152,15 @@ def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
 
 
 def cluster_names(world: World) -> list[int]:
-    """The number that the files give to each cluster of the world.
+    """Return the number that the files give to each cluster of the world.
 
     A party that comes after another one is gone may take its number again: people who never meet share it.
     """
     count = len(world.parties) + len(world.people)
     names: list[int] = world.rng("clusters").permutation(max(1000, count))[:count].tolist()
-    here = [world.present[:, party.members].any(axis=1) for party in world.parties]
-    gone = [int(np.flatnonzero(one)[-1]) if one.any() else world.frames for one in here]
-    begun = [int(np.argmax(one)) if one.any() else -1 for one in here]
+    in_view = [world.present[:, party.members].any(axis=1) for party in world.parties]
+    gone = [int(np.flatnonzero(item)[-1]) if item.any() else world.frames for item in in_view]
+    begun = [int(np.argmax(item)) if item.any() else -1 for item in in_view]
     free = list(range(len(world.parties)))
     for late, party in enumerate(world.parties):
         # The number of a party of one says nothing about a group.
@@ -172,7 +172,7 @@ def cluster_names(world: World) -> list[int]:
 
 
 def _written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[float]:
-    """The box as annotators left it: whole numbers or floats; over the seam with x < 0 or reaching past 3760."""
+    """Return a box as annotators write it: whole numbers or floats; over the seam with x < 0 or beyond 3760."""
     x, y, w, h = box
     x %= WIDTH
     if x + w > WIDTH:
@@ -202,7 +202,7 @@ def _attributes(world: World, quirks: Quirks, frame: int, i: int, box: list[floa
 
 
 def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list[int]) -> _Record | None:
-    """name -> difficulty, or None where the key is missing."""
+    """Return the difficulty by name, or None if the key is missing."""
     if quirks.no_actions[frame, i]:
         return None
     if quirks.empty_actions[frame, i]:
@@ -225,7 +225,7 @@ def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list
 
 
 def lidar_points(world: World, quirks: Quirks) -> Ints:
-    """Lidar points on each body, (frames, people)."""
+    """Return the number of lidar points on each body, (frames, people)."""
     # A box has some points even if no camera sees the person, because the lidars are at another place.
     visible = np.maximum(1.0 - world.covered, 0.02)
     # They thin out with the square of the distance.
@@ -234,20 +234,20 @@ def lidar_points(world: World, quirks: Quirks) -> Ints:
 
 
 def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[_Record]]]:
-    """Keys and records of `labels_3d/<sequence>.json`, in order."""
+    """Yield keys and records of `labels_3d/<sequence>.json`, in order."""
     motion, points = world.motion, lidar_points(world, quirks)
     turned = np.pi - motion.heading + 2 * np.pi * quirks.turns
     middle = FLOOR + motion.z + world.height / 2
     columns = (motion.x, motion.y, middle, world.width, world.width, world.height, turned, world.distance)
     table = np.round(np.stack(columns, axis=-1), 3)
-    there = world.present & ~quirks.no_3d
+    boxed_people = world.present & ~quirks.no_3d
     for frame in range(world.frames):
         if frame in quirks.lost_3d:
             continue
         rows: list[_Record] = []
-        places = table[frame].tolist()
-        for i in [] if frame == quirks.empty_3d else np.flatnonzero(there[frame]).tolist():
-            *box, distance = places[i]
+        indexes = table[frame].tolist()
+        for i in [] if frame == quirks.empty_3d else np.flatnonzero(boxed_people[frame]).tolist():
+            *box, distance = indexes[i]
             attributes: _Record = {
                 "distance": None if quirks.no_distance[frame, i] else distance,
                 "interpolated": True,

@@ -1,4 +1,4 @@
-"""The COCO files of a simulated sequence: keypoints of the figures, and panoptic segments of the keyframes.
+"""Write the COCO files of a simulated sequence: keypoints of the figures, and panoptic segments of the keyframes.
 
 `labels_2d_pose_stitched_coco/<sequence>.json` holds seventeen keypoints of each figure that is drawn.
 `labels_2d_panoptic_stitched_CW/<sequence>.json` holds every pixel of the keyframes, from the strokes that paint it.
@@ -26,18 +26,18 @@ _CocoRecord = dict[str, Any]
 
 _PERSON: Final = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in SKELETON]}
 _SIDEWAYS: Final = 0.8
-"""Seen so far from the side, the limbs behind the body are covered by it."""
+"""Minimum turn from the robot if the body covers the limbs behind it."""
 _AWAY: Final = -0.25
-"""Turned so far away, the eyes cannot be seen."""
+"""Minimum turn from the robot if the eyes are hidden."""
 STUFF: Final = frozenset(
     ("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence", "glass")
 )
 _FEW: Final = 12
-"""Pixels: a smaller rest of something is not annotated."""
+"""Minimum number of pixels of an annotated segment."""
 
 
 def _coco_text(before: _CocoRecord, annotations: Iterable[list[_CocoRecord]], after: _CocoRecord) -> Iterator[bytes]:
-    """A file's text, in parts: the keys before the annotations, these frame by frame and numbered, the keys after."""
+    """Yield a file's text in parts: the keys before the annotations, the annotations by frame, and the keys after."""
     yield msgspec.json.encode(before)[:-1] + b',"annotations":['
     count = 0
     for rows in annotations:
@@ -52,7 +52,7 @@ def _file_name(world: World, frame: int) -> str:
 
 
 def visibility(world: World) -> Ints:
-    """(frames, people, 17): 0 not visible, 1 occluded, 2 visible."""
+    """Return the visibility of joints, (frames, people, 17): 0 not visible, 1 occluded, 2 visible."""
     side, toward = world.turned
     out = np.where(world.joint_covered, 1, 2)
     for limbs, behind in ((RIGHT_SIDE, side < -_SIDEWAYS), (LEFT_SIDE, side > _SIDEWAYS)):
@@ -63,7 +63,7 @@ def visibility(world: World) -> Ints:
 
 
 def pose_file(world: World) -> Iterator[bytes]:
-    """The file's text, in parts. Columns are those of the panorama; a pose over the seam has some at either edge."""
+    """Yield the file's text in parts. Columns are panorama columns. A pose over the seam has some at each edge."""
     shift = 1 + world.named(1, 3)
     # The last frame is missing in some files.
     frames = range(world.frames - world.named(0, 2))
@@ -77,11 +77,11 @@ def _poses(world: World, frames: range, shift: int) -> Iterator[list[_CocoRecord
     rng = world.rng("poses")
     posed = world.boxed & (world.occlusion < 3) & ~spans(rng, world.hidden, 0.004, 10, 60)
     bare = spans(rng, posed & world.hidden, 0.0004, 1, 3)
-    seen = visibility(world)
+    shown = visibility(world)
     for frame in frames:
         people = np.flatnonzero(posed[frame])
         points = np.empty((len(people), len(JOINTS), 3), np.int64)
-        points[..., 2] = seen[frame, people]
+        points[..., 2] = shown[frame, people]
         points[..., :2] = np.floor(world.joints[frame, people])
         points[..., 0] %= WIDTH
         points[..., :2] *= points[..., 2:] > 0
@@ -94,7 +94,7 @@ def _poses(world: World, frames: range, shift: int) -> Iterator[list[_CocoRecord
 
 
 class Segment(NamedTuple):
-    """One segment's id in the picture, its code, pixels, and box (x, y, w, h)."""
+    """Segment of a picture: id, run-length code, number of pixels, and box (x, y, w, h)."""
 
     id: int
     counts: str
@@ -103,7 +103,7 @@ class Segment(NamedTuple):
 
 
 def segments_of(picture: npt.NDArray[np.uint16]) -> Iterator[Segment]:
-    """Every segment of a picture (rows, columns) of ids, by id."""
+    """Return the segments of a picture (rows, columns) of ids, by id."""
     height = picture.shape[0]
     flat = np.ascontiguousarray(picture.T).ravel()
     first = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1])
@@ -123,7 +123,7 @@ def segments_of(picture: npt.NDArray[np.uint16]) -> Iterator[Segment]:
 
 
 def compressed(counts: Ints) -> str:
-    """Run lengths in the compressed text of COCO files.
+    """Return run lengths in the compressed text of COCO files.
 
     Counts go down the columns, left to right, and begin with the pixels before the first run. From the third on, the
     difference from the count two before is written, five bits per character, lowest first; the sixth bit means that
@@ -142,12 +142,12 @@ def compressed(counts: Ints) -> str:
 
 
 def category_ids(world: World) -> list[int]:
-    """The file's number of each category of `labels.OBJECTS`: every file has its own."""
-    return [int(one) + 1 for one in world.rng("categories").permutation(len(OBJECTS))]
+    """Return the file's number of each category of `labels.OBJECTS`. Each file has its own numbers."""
+    return [int(item) + 1 for item in world.rng("categories").permutation(len(OBJECTS))]
 
 
 def panoptic_file(world: World) -> Iterator[bytes]:
-    """The file's text, in parts."""
+    """Yield the file's text in parts."""
     spell: Callable[[str], str] = str.upper if world.named(2) else "t_{}".format if world.named(3) else str
     categories = [
         {"id": number, "name": spell(name), "isthing": int(name not in STUFF)}
@@ -192,7 +192,7 @@ def _segments(world: World) -> Iterator[list[_CocoRecord]]:
 
 
 def _tracking(world: World, track: int | None) -> _CocoRecord:
-    """The tracking number, in its place in the files of different years."""
+    """Return the tracking number under the key of the file's year."""
     if track is None:
         return {}
     if world.named(1, 2):
@@ -201,7 +201,7 @@ def _tracking(world: World, track: int | None) -> _CocoRecord:
 
 
 def _names(world: World, painter: Painter) -> dict[int, tuple[str, int | None]]:
-    """Category and tracking number (None for stuff) of each segment; numbers restart in every category."""
+    """Return category and tracking number (None for stuff) of each segment. Each category has its own numbers."""
     used: dict[str, int] = {}
     for thing in world.things.things:
         used[thing.category] = max(used.get(thing.category, 0), thing.number)

@@ -1,4 +1,4 @@
-"""Drawing of people, as simple figures round their joints with what they sit on, ride and hold, and of standing things.
+"""Draw people as simple figures around their joints with what they sit on, ride and hold, and of standing things.
 
 A canvas draws the same strokes as a picture, or as the numbers of the segments that the strokes belong to.
 """
@@ -38,10 +38,10 @@ from jrdb_avr.loaders.synthetic.skeleton import (
 Pixels = npt.NDArray[Any]
 Point = tuple[int, int]
 Angles = tuple[int, int, int]
-"""Degrees: the turn of an ellipse, and where its sector begins and ends."""
+"""Turn of an ellipse, and start and end of its sector, in degrees."""
 
 OWNER: Final = -1
-"""The part of a drawing that is the person or partition itself; things have their own numbers."""
+"""Part of a drawing that is the person or partition itself. Things have their own numbers."""
 
 _SHIRTS: Final[tuple[Color, ...]] = (
     *((150, 50, 50), (60, 90, 150), (60, 120, 70), (150, 110, 50)),
@@ -52,14 +52,14 @@ _SKINS: Final[tuple[Color, ...]] = ((180, 140, 115), (150, 110, 85), (110, 80, 6
 _HAIR: Final[tuple[Color, ...]] = ((40, 30, 25), (80, 55, 35), (110, 100, 95), (130, 100, 50))
 
 _AWAY: Final = -0.25
-"""Turned so far from the robot, a person shows no face, and hides what it holds."""
+"""Minimum turn from the robot if a person hides the face and the held things."""
 _RIGHT: Final = (R_SHOULDER, R_ELBOW, R_WRIST, R_HIP, R_KNEE, R_FOOT)
 _LEFT: Final = (L_SHOULDER, L_ELBOW, L_WRIST, L_HIP, L_KNEE, L_FOOT)
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """An image and the number of each part in it; without numbers, parts have their colours."""
+    """Image with the number of each part. Without numbers, parts have their colours."""
 
     image: Pixels
     numbers: Mapping[int, int] | None = None
@@ -92,7 +92,7 @@ class Canvas:
 
 
 class Held(NamedTuple):
-    """What a person carries or rides: the hand (or `objects.BELOW`), the category and the thing's number."""
+    """Thing that a person carries or rides: the hand (or `objects.BELOW`), the category and the thing's number."""
 
     hand: int
     category: str
@@ -101,7 +101,7 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """A body in its box (x, y, w, h in pixels, not cut at the image).
+    """Body in its box (x, y, w, h in pixels, not cut at the image).
 
     `joints`: 17 pixels; `meter`: pixels per metre; `across` and `toward`: how it faces (see `skeleton.facing`).
     `identity` decides the colours; `under`: the thing that it sits on or rides; `held`: what is in its hands.
@@ -121,7 +121,7 @@ class Figure:
     held: tuple[Held, ...]
 
     def at(self, u: float, v: float) -> Point:
-        """The pixel at shares of the box: across from its middle, down from its top."""
+        """Return the pixel at shares of the box: across from its middle, down from its top."""
         return round(self.x + (0.5 + u) * self.w), round(self.y + v * self.h)
 
 
@@ -143,9 +143,9 @@ def draw_figure(canvas: Canvas, figure: Figure) -> None:
     """Draw the figure, in place."""
     shirt, trousers = _SHIRTS[figure.identity % 8], _TROUSERS[figure.identity // 8 % 4]
     skin, hair = _SKINS[figure.identity // 32 % 4], _HAIR[figure.identity // 128 % 4]
-    joints, away = figure.joints, figure.toward < _AWAY
+    joints, turned = figure.joints, figure.toward < _AWAY
     _draw_under(canvas, figure)
-    if away:
+    if turned:
         _draw_held(canvas, figure)
     # Facing right, the right side of the body is the nearer one.
     near, far = (_RIGHT, _LEFT) if figure.across >= 0 else (_LEFT, _RIGHT)
@@ -154,15 +154,15 @@ def draw_figure(canvas: Canvas, figure: Figure) -> None:
     canvas.lines([joints[NECK], joints[HIP]], shirt, width=0.24 * figure.meter)
     head, radius = joints[HEAD], max(2, round(0.12 * figure.meter))
     canvas.lines([head, joints[NECK]], skin, width=0.1 * figure.meter)
-    canvas.circle(head, radius, hair if away else skin)
-    if not away:
+    canvas.circle(head, radius, hair if turned else skin)
+    if not turned:
         # Hair above and at the back of the head.
         canvas.ellipse(head, (radius, radius), hair, angles=(round(-40 * figure.across), 180, 360))
         if radius >= 6:
             for eye in (R_EYE, L_EYE):
                 canvas.circle(joints[eye], max(1, radius // 6), (30, 30, 30))
     _draw_side(canvas, figure, near, shirt, trousers, skin)
-    if not away:
+    if not turned:
         _draw_held(canvas, figure)
 
 
@@ -207,7 +207,7 @@ def _draw_wheels(canvas: Canvas, figure: Figure, radius: float) -> None:
 
 
 def _draw_held(canvas: Canvas, figure: Figure) -> None:
-    """Draw what is in the hands; it is behind the body of one who looks away."""
+    """Draw the things in the hands. They are behind the body of a person who looks away."""
     meter = figure.meter
     for hand, category, thing in figure.held:
         x, y = figure.joints[(R_WRIST, L_WRIST)[hand]]

@@ -1,4 +1,4 @@
-"""What people of the sample world do with one another: interactions that follow from their script."""
+"""Derive interactions of people of the sample world from their script."""
 
 from __future__ import annotations
 
@@ -23,28 +23,37 @@ _SHARED: Final = (
     *("holding sth", "pointing at sth", "interaction with door"),
 )
 _JOINT_NAME: Final = {"running": "moving", "skating": "moving", "scootering": "moving", "eating sth": "eating"}
-"""What two people do together, where it has another name than what each of them does."""
+"""Names of joint actions that differ from the names of the single actions."""
 _WELCOMES: Final = ("hugging", "shaking hand", "waving hand together")
 
 
 class RelationRuns:
-    """Runs of relations, each an array of n: ticks [first, last], the places of the person, of the other (a person or a
-    thing) and of the label or verb, the hand (of handling only), and a number in [0, 1) drawn once per run."""
+    """Runs of relations. Each attribute is an array of n values.
+
+    Attributes:
+        first: First tick.
+        last: Last tick.
+        person: Index of the person.
+        target: Index of the other person, or of the thing.
+        label: Index of the label or verb.
+        hand: Hand that handles the thing.
+        draw: Number in [0, 1), drawn once per run.
+    """
 
     def __init__(self, rng: Rng, rows: Sequence[tuple[int, ...]]) -> None:
-        """Runs of rows (first, last, person, other, label, hand)."""
+        """Make runs of rows (first, last, person, other, label, hand)."""
         columns: Ints = np.array(rows, np.int64).reshape(-1, 6).T
-        self.first, self.last, self.person, self.other, self.label, self.hand = columns
+        self.first, self.last, self.person, self.target, self.label, self.hand = columns
         self.draw = rng.random(len(rows))
 
     def at(self, tick: int) -> list[tuple[int, int, int, int]]:
-        """(person, other, label, hand) of the runs at a tick."""
+        """Return (person, other, label, hand) of the runs at a tick."""
         now = np.flatnonzero((self.first <= tick) & (tick <= self.last))
-        return list(zip(*(x[now].tolist() for x in (self.person, self.other, self.label, self.hand)), strict=True))
+        return list(zip(*(x[now].tolist() for x in (self.person, self.target, self.label, self.hand)), strict=True))
 
 
 def interactions_of(rng: Rng, script: Script) -> RelationRuns:
-    """All interactions of a script, in a fixed order, each once: the person comes before the other."""
+    """Return all interactions of a script in a fixed order, each once. The person's index is the lower one."""
     rows: list[tuple[int, ...]] = []
     doing = {name: (script.actions == action).any(axis=2) for name, action in ACTION.items()}
     for party in script.parties:
@@ -55,9 +64,9 @@ def interactions_of(rng: Rng, script: Script) -> RelationRuns:
 
 
 def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> dict[str, Bools]:
-    """Per label the ticks at which it holds between two members of a party."""
-    here = script.present[:, a] & script.present[:, b]
-    together = here & ~script.apart[:, a] & ~script.apart[:, b]
+    """Return the ticks of each label between two members of a party."""
+    meeting = script.present[:, a] & script.present[:, b]
+    together = meeting & ~script.apart[:, a] & ~script.apart[:, b]
     out: dict[str, Bools] = {}
 
     def mark(label: str, where: Bools, start: int = 0, stop: int | None = None) -> None:
@@ -71,8 +80,8 @@ def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> 
     talking, listening = doing["talking to someone"], doing["listening to someone"]
     mark("conversation", together & ((talking[:, a] & listening[:, b]) | (talking[:, b] & listening[:, a])))
     for tick in (np.flatnonzero(together[1:] & ~together[:-1]) + 1).tolist():
-        if here[max(0, tick - 2) : tick].all() and POSE["walking"] in script.pose[tick - 1, [a, b]]:
-            mark("walking toward each other", here, max(0, tick - 2), tick)
+        if meeting[max(0, tick - 2) : tick].all() and POSE["walking"] in script.pose[tick - 1, [a, b]]:
+            mark("walking toward each other", meeting, max(0, tick - 2), tick)
         if rng.random() < 0.5:
             mark(one_of(rng, _WELCOMES), together, tick, tick + int(rng.integers(1, 3)))
     # Now and then also without a meeting, between standing people.

@@ -1,4 +1,4 @@
-"""All label files and timestamps of a simulated sequence, as parts of the text of each file."""
+"""Write all label files and timestamps of a simulated sequence, as parts of the text of each file."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _BOXES_2D: Final = (
     "labels/labels_2d_activity_social_stitched/{}.json",
     "labels/labels_2d_stitched_new_version/{}.json",
 )
-"""The 2D boxes, and the social and the reasoning files, which hold the same records with more in them."""
+"""Files of 2D boxes, and the social and reasoning files, which have the same records with more keys."""
 _BOXES_3D: Final = "labels/labels_3d/{}.json"
 
 _CAMERAS: Final = (0, 2, 4, 6, 8)
 _LIDARS: Final = ("upper_velodyne", "lower_velodyne")
 _EPOCH: Final = 1_549_000_000
-"""Seconds: the sample's sequences were taken in the weeks after this."""
+"""Start of the weeks of the sample's recordings, in seconds since the epoch."""
 _LONGER: Final = 3
-"""The timestamps reach some frames further than the labels."""
+"""Number of frames with timestamps after the last labelled frame."""
 
 
 def label_texts(world: World, quirks: Quirks, social: SocialFiles) -> Iterator[tuple[str, bytes]]:
-    """Parts of the files: the file's path, with the sequence's name in the braces, and the next part of its text.
+    """Yield parts of the files: the file's path, with the sequence's name in the braces, and the next part of its text.
 
     A layer is a function of the world that makes its text; a further one is another entry here.
     """
@@ -47,7 +47,7 @@ def label_texts(world: World, quirks: Quirks, social: SocialFiles) -> Iterator[t
     for path, parts in layers.items():
         for part in parts:
             yield path, part
-    boxes = ((one.key, (one.records + one.foreign, *social.records(one))) for one in frames_2d(world, quirks))
+    boxes = ((item.key, (item.records + item.foreign, *social.records(item))) for item in frames_2d(world, quirks))
     yield from _by_frame(_BOXES_2D, boxes)
     yield from _by_frame((_BOXES_3D,), ((key, (rows,)) for key, rows in frames_3d(world, quirks)))
 
@@ -55,7 +55,7 @@ def label_texts(world: World, quirks: Quirks, social: SocialFiles) -> Iterator[t
 def _by_frame(
     paths: tuple[str, ...], frames: Iterator[tuple[str, tuple[list[_Record], ...]]]
 ) -> Iterator[tuple[str, bytes]]:
-    """Parts of files that hold one list of records per frame, one frame in memory at a time."""
+    """Yield parts of files with one list of records per frame. Only one frame is in memory at a time."""
     begin = b'{"labels":{'
     for key, lists in frames:
         for path, records in zip(paths, lists, strict=True):
@@ -66,7 +66,7 @@ def _by_frame(
 
 
 def _timestamps(world: World, key: str, urls: dict[str, str], late: float) -> bytes:
-    """The text of a file of timestamps: of each frame, and of each sensor under the key."""
+    """Return the text of a file of timestamps, with one entry per frame and sensor."""
     rng = world.rng("timestamps", key)
     count = world.frames + _LONGER
     start = _EPOCH + int(world.rng("epoch").integers(0, 6_000_000))

@@ -1,4 +1,4 @@
-"""Where everybody is: paths of the robot and the people, per frame, in the robot's frame (x forward, y left)."""
+"""Compute paths of the robot and the people per frame, in the robot's frame (x forward, y left)."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import FPS
 
 LEAST_DISTANCE = 1.7
-"""Metres: nobody comes nearer to the robot."""
+"""Minimum distance of people from the robot, in metres."""
 STEP_RISE = 0.2
-"""Metres per second that stairs lead up."""
+"""Vertical speed on stairs, in metres per second."""
 
 
 def to_robot(robot: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """World points in the robot's frame; `robot` (..., 3) must broadcast with the points."""
+    """Return world points in the robot's frame. `robot` (..., 3) must broadcast with the points."""
     dx, dy = x - robot[..., 0], y - robot[..., 1]
     c, s = np.cos(robot[..., 2]), np.sin(robot[..., 2])
     return c * dx + s * dy, -s * dx + c * dy
 
 
 class Motion:
-    """Per frame: the robot (frames, 3) as x, y, yaw in the world; people (frames, people) in the robot's frame, metres
-    and radians; `z` is the height of the feet above the floor."""
+    """Positions per frame: the robot (frames, 3) in the world, and people (frames, people) in the robot's frame.
+
+    Units are metres and radians. The robot has x, y and yaw. `z` is the height of the feet above the floor.
+    """
 
     def __init__(self, rng: Rng, script: Script, ticks: Ints) -> None:
-        """Paths of a sequence; `ticks` gives the tick of each frame."""
+        """Compute the paths of a sequence. `ticks` is the tick of each frame."""
         robot = self.robot = _robot(rng, len(ticks))
         speed_of = np.array([GAITS.get(name, (0.0, 0.0))[1] for name in POSES])
         lead = [party.members[0] for party in script.parties]
@@ -44,7 +46,7 @@ class Motion:
 
 
 def _robot(rng: Rng, frames: int) -> Floats:
-    """Stands in some sequences; else drifts within a few metres and turns slowly."""
+    """Return the robot's path. It stops in some sequences. In others it drifts within a few metres and turns."""
     t = np.arange(frames) / FPS
     out = np.zeros((frames, 3))
     if rng.random() < 0.3:
@@ -56,7 +58,7 @@ def _robot(rng: Rng, frames: int) -> Floats:
 
 
 def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> Floats:
-    """World x, y and courses of the parties, (3, frames, parties): from waypoint to waypoint inside their zones."""
+    """Return world x, y and courses of the parties, (3, frames, parties), between waypoints in their zones."""
     frames, count = speed.shape
     zones = np.array([(party.near, party.far, party.bearing, party.spread) for party in script.parties])
     near, far, bearing, spread = np.ascontiguousarray(zones.T)
@@ -74,9 +76,9 @@ def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> Floa
         reached = np.hypot(gap[:, 0], gap[:, 1]) < 0.4
         if reached.any():
             # Of some next places the farthest: people walk straight for seconds, not round in circles.
-            places = np.stack([waypoints() for _ in range(4)])
-            away = np.hypot(*np.moveaxis(places - position, -1, 0))
-            farthest = places[away.argmax(axis=0), np.arange(count)]
+            offsets = np.stack([waypoints() for _ in range(4)])
+            distance = np.hypot(*np.moveaxis(offsets - position, -1, 0))
+            farthest = offsets[distance.argmax(axis=0), np.arange(count)]
             goal = np.where(reached[:, None], farthest, goal)
             gap = goal - position
         turn = np.arctan2(gap[:, 1], gap[:, 0]) - course
@@ -85,20 +87,20 @@ def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> Floa
         step = speed[frame] / FPS
         position = position + step[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1)
         # Round the robot, not through it.
-        away = position - robot[frame, :2]
-        position = robot[frame, :2] + away * _push(away[:, 0], away[:, 1])[:, None]
+        distance = position - robot[frame, :2]
+        position = robot[frame, :2] + distance * _push(distance[:, 0], distance[:, 1])[:, None]
         paths[:, frame] = position[:, 0], position[:, 1], course
     return paths
 
 
 def _push(x: Floats, y: Floats) -> Floats:
-    """How many times farther from the robot people stand, so that no person is too near."""
+    """Return the factor of distances from the robot, so that no person is too near."""
     push: Floats = np.maximum(1.0, LEAST_DISTANCE / np.maximum(np.hypot(x, y), 1e-6))
     return push
 
 
 def _offsets(rng: Rng, script: Script, ticks: Ints) -> tuple[Floats, Floats]:
-    """Places of the members in their party, (frames, people), metres; those apart are some metres away."""
+    """Return offsets of members in their party, (frames, people), in metres. Members apart are some metres away."""
     count = len(script.people)
     angle, radius = np.zeros(count), np.zeros(count)
     for party in script.parties:
@@ -117,7 +119,7 @@ def _offsets(rng: Rng, script: Script, ticks: Ints) -> tuple[Floats, Floats]:
 
 
 def _facing(rng: Rng, script: Script, ticks: Ints, x: Floats, y: Floats, robot: Floats) -> Floats:
-    """Headings of those at rest: the middle of the party, else a direction of one's own, in the robot's frame."""
+    """Return headings of people at rest, in the robot's frame: to the middle of the party, or a random direction."""
     out = np.empty_like(x)
     for party in script.parties:
         members = list(party.members)
@@ -130,6 +132,6 @@ def _facing(rng: Rng, script: Script, ticks: Ints, x: Floats, y: Floats, robot: 
 
 
 def _heights(script: Script, ticks: Ints) -> Floats:
-    """Feet above the floor, metres, (frames, people)."""
+    """Return the height of feet above the floor in metres, (frames, people)."""
     rise = np.array([STEP_RISE * ((name == "going upstairs") - (name == "going downstairs")) for name in POSES])
     return np.maximum(0.0, np.cumsum(rise[script.pose[ticks]] / FPS, axis=0))

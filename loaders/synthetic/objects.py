@@ -1,4 +1,4 @@
-"""Things of the sample world, and who handles which.
+"""Make the things of the sample world, and decide which person handles which thing.
 
 Things are carried (drawn with their owner: in the hand, below the body), moved along (trolleys), or stand in the world.
 """
@@ -17,7 +17,7 @@ from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.things import VERBS
 
 RIGHT_HAND, LEFT_HAND, BELOW = range(3)
-"""Where what a person handles is drawn with it: in a hand, or under the body."""
+"""Positions of handled things in a drawing: in a hand, or under the body."""
 
 _IN_HAND: Final = {
     "typing": (("peripheral", "using"),),
@@ -31,9 +31,9 @@ _IN_HAND: Final = {
         *(("document", "holding"), ("umbrella", "holding"), ("jacket", "carrying")),
     ),
 }
-"""Per action, the category and verb of what the person may hold."""
+"""Categories and verbs of things that a person may hold, by action."""
 _AHEAD: Final = {"pushing": 0.85, "pulling": -0.85}
-"""Per action and verb, metres of the trolley before the person."""
+"""Distance of the trolley before the person in metres, by action and verb."""
 _IN_THE_WORLD: Final = {"looking at sth": "looking at", "pointing at sth": "presenting"}
 _LOOKED_AT: Final = ("board", "poster", "television", "statues", "standee")
 _DECOR: Final = ("table", "trash_bin", "chair/sofa", "shelf", "pole/trafficcone")
@@ -47,18 +47,20 @@ _RIDDEN: Final = {
 
 @dataclass(frozen=True)
 class Thing:
-    """One thing: its category in `labels.OBJECTS`, a number within the category, the person who carries or moves it,
-    and where it stands in the world if it has no owner. What stands or rolls is `standing`."""
+    """Thing with its category in `labels.OBJECTS`, its number in it, its owner, and its position without an owner.
+
+    The owner is the person who carries or moves the thing. `standing` is true if the thing stands or rolls.
+    """
 
     category: str
     number: int
     owner: int | None
     standing: bool
-    place: tuple[float, float] = (0.0, 0.0)
+    position: tuple[float, float] = (0.0, 0.0)
 
 
 class _Maker:
-    """Makes things, numbered per category, and decides who handles which."""
+    """Maker of things with numbers per category. It decides which person handles which thing."""
 
     def __init__(self, rng: Rng, script: Script) -> None:
         self.things: list[Thing] = []
@@ -69,42 +71,42 @@ class _Maker:
         self._from = int(rng.integers(2))
         self._surroundings = [self._around(script, party) for party in script.parties]
 
-    def own(self, person: int, category: str, standing: bool = False) -> int:
-        """The person's thing of a category, made when it is first needed."""
+    def personal(self, person: int, category: str, standing: bool = False) -> int:
+        """Return the person's thing of a category. Make it at the first call."""
         if (person, category) not in self._own:
             self._own[person, category] = self._new(category, person, standing)
         return self._own[person, category]
 
     def handled(self, action: str, person: int, party: int) -> tuple[int, str] | None:
-        """What a person handles by an action, and the verb."""
-        seen, door = self._surroundings[party]
+        """Return the thing that a person handles by an action, and the verb."""
+        visible, door = self._surroundings[party]
         if action in _IN_HAND:
             category, verb = one_of(self._rng, _IN_HAND[action])
-            return self.own(person, category), verb
+            return self.personal(person, category), verb
         if action in _AHEAD:
-            return self.own(person, "trolley", standing=True), action
+            return self.personal(person, "trolley", standing=True), action
         if action == "interaction with door" and door is not None:
             return door, one_of(self._rng, ("opening", "closing"))
-        if action in _IN_THE_WORLD and seen:
-            return one_of(self._rng, seen), _IN_THE_WORLD[action]
+        if action in _IN_THE_WORLD and visible:
+            return one_of(self._rng, visible), _IN_THE_WORLD[action]
         return None
 
-    def _new(self, category: str, owner: int | None, standing: bool, place: tuple[float, float] = (0.0, 0.0)) -> int:
+    def _new(self, category: str, owner: int | None, standing: bool, position: tuple[float, float] = (0.0, 0.0)) -> int:
         number = self._count.get(category, self._from)
         self._count[category] = number + 1
-        self.things.append(Thing(category, number, owner, standing, place))
+        self.things.append(Thing(category, number, owner, standing, position))
         return len(self.things) - 1
 
     def _around(self, script: Script, party: Party) -> tuple[list[int], int | None]:
-        """Things that the party looks at and its door, behind where the party moves, seen from the robot; and decor."""
+        """Make the things that the party looks at, its door, and decor, farther away than the party."""
         done = set(script.actions[:, list(party.members)].ravel().tolist())
         looks = any(ACTION[action] in done for action in _IN_THE_WORLD)
         kinds = [_LOOKED_AT[kind] for kind in self._rng.permutation(len(_LOOKED_AT))[:2].tolist()] if looks else []
-        seen = [self._stand(party, kind) for kind in kinds]
+        visible = [self._stand(party, kind) for kind in kinds]
         door = self._stand(party, "door") if ACTION["interaction with door"] in done else None
         if not party.hidden and self._rng.random() < 0.4:
             self._stand(party, one_of(self._rng, _DECOR))
-        return seen, door
+        return visible, door
 
     def _stand(self, party: Party, category: str) -> int:
         angle = party.bearing + float(self._rng.uniform(-1, 1)) * party.spread
@@ -113,7 +115,7 @@ class _Maker:
 
 
 class Things:
-    """The things of a sequence: the things that a script needs, and some more that do not move.
+    """Return the things of a sequence: the things that a script needs, and some more that do not move.
 
     Things that do not move or that roll (`stands`, their places in `things`) have, by column, a position in the world
     (frames, columns), and whether they are present.
@@ -126,22 +128,22 @@ class Things:
             for hand in (RIGHT_HAND, LEFT_HAND):
                 for name, action in ACTION.items():
                     for first, stop in runs_of(script.actions[:, i, hand] == action):
-                        found = maker.handled(name, i, person.party)
-                        if found is not None:
-                            rows.append((first, stop - 1, i, found[0], VERBS.index(found[1]), hand))
+                        made = maker.handled(name, i, person.party)
+                        if made is not None:
+                            rows.append((first, stop - 1, i, made[0], VERBS.index(made[1]), hand))
             for pose, (category, verb) in _RIDDEN.items():
                 for first, stop in runs_of(script.pose[:, i] == POSE[pose]):
-                    rows.append((first, stop - 1, i, maker.own(i, category), VERBS.index(verb), BELOW))
+                    rows.append((first, stop - 1, i, maker.personal(i, category), VERBS.index(verb), BELOW))
         self.things, self.handling = maker.things, RelationRuns(rng, sorted(rows))
         self.stands = [k for k, thing in enumerate(self.things) if thing.standing]
         self.x, self.y = np.zeros((2, len(tick), len(self.stands)))
-        self.there = np.ones(self.x.shape, bool)
+        self.present = np.ones(self.x.shape, bool)
         for column, k in enumerate(self.stands):
             owner = self.things[k].owner
             if owner is None:
-                self.x[:, column], self.y[:, column] = self.things[k].place
+                self.x[:, column], self.y[:, column] = self.things[k].position
                 continue
-            ahead, self.there[:, column] = _pushed(self.handling, k, tick)
+            ahead, self.present[:, column] = _pushed(self.handling, k, tick)
             # In the world: where the owner is, some way before or behind.
             yaw, heading = motion.robot[:, 2], motion.heading[:, owner]
             px, py = motion.x[:, owner] + ahead * np.cos(heading), motion.y[:, owner] + ahead * np.sin(heading)
@@ -150,9 +152,9 @@ class Things:
 
 
 def _pushed(handling: RelationRuns, thing: int, tick: Ints) -> tuple[Floats, Bools]:
-    """Per frame, metres before the owner and whether the thing is in use."""
+    """Return, per frame, the metres before the owner and whether the thing is in use."""
     ahead, used = np.zeros(len(tick)), np.zeros(len(tick), bool)
-    for row in np.flatnonzero(handling.other == thing).tolist():
+    for row in np.flatnonzero(handling.target == thing).tolist():
         during = (tick >= handling.first[row]) & (tick <= handling.last[row])
         ahead[during] = _AHEAD[VERBS[handling.label[row]]]
         used |= during
@@ -160,5 +162,5 @@ def _pushed(handling: RelationRuns, thing: int, tick: Ints) -> tuple[Floats, Boo
 
 
 def handled_at(handling: RelationRuns, tick: int) -> list[tuple[int, int, int, int]]:
-    """(person, thing, verb, hand) of a tick, in a fixed order; what is done with the hands before what is sat on."""
+    """Return (person, thing, verb, hand) of a tick in a fixed order. Things in hands come before seats."""
     return sorted(handling.at(tick), key=lambda row: (row[0], row[3], row))

@@ -29,14 +29,14 @@ _Image = npt.NDArray[np.uint8]
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""
 STAIRS: Final = -2
-"""The part of a drawing that is the stairs below a person."""
+"""Part of a drawing that is the stairs below a person."""
 
 _PERSON, _PANEL, _THING = range(3)
 _PANELS: Final[tuple[Color, ...]] = ((96, 84, 70), (70, 84, 100), (84, 96, 80), (100, 78, 84))
 
 
 def panorama_frames(world: World, which: str) -> list[int]:
-    """Frames that get a panorama.
+    """Return the frames that get a panorama.
 
     `none`; `keyframes`; `changes`: keyframes, and of every tick but the first the first frame and the one before, so
     that they do not reveal at which of them anything changes; `all`.
@@ -49,8 +49,7 @@ def panorama_frames(world: World, which: str) -> list[int]:
 
 
 class Segments(NamedTuple):
-    """Numbers of what is drawn in a sequence: first the surroundings (1 + their place), then the steps, and from these
-    numbers on the partitions, things and people."""
+    """First numbers of the segments of a sequence. The surroundings have the numbers from 1."""
 
     steps: int
     panels: int
@@ -59,7 +58,7 @@ class Segments(NamedTuple):
 
 
 class Painter:
-    """Paints the frames of one world; the surroundings are made once and turned with the robot."""
+    """Painter of the frames of one world. The surroundings are made once and turned with the robot."""
 
     def __init__(self, world: World) -> None:
         rng = world.rng("colors")
@@ -73,7 +72,7 @@ class Painter:
         self._across, self._toward = facing(world.pose, *world.turned)
 
     def paint(self, frame: int) -> _Image:
-        """The panorama (480, 3760, 3), RGB."""
+        """Return the panorama (480, 3760, 3), RGB."""
         image: _Image = np.roll(self._backdrop.image, self._turn(frame), axis=1)
         carried = self._carried(frame)
         for kind, index in self._from_far(frame):
@@ -81,14 +80,14 @@ class Painter:
         return image
 
     def segment(self, frame: int) -> npt.NDArray[np.uint16]:
-        """The number of the segment (see `Segments`) at every pixel, (480, 3760)."""
+        """Return the number of the segment (see `Segments`) at each pixel, (480, 3760)."""
         image = np.roll(self._backdrop.ids, self._turn(frame), axis=1)
         carried = self._carried(frame)
         numbers = {STAIRS: self.segments.steps}
         numbers |= {thing: self.segments.things + thing for thing in range(len(self._world.things.things))}
         for kind, index in self._from_far(frame):
-            own = index + (self.segments.people if kind == _PERSON else self.segments.panels)
-            self._draw(Canvas(image, numbers | {OWNER: own}), frame, kind, index, carried)
+            base = index + (self.segments.people if kind == _PERSON else self.segments.panels)
+            self._draw(Canvas(image, numbers | {OWNER: base}), frame, kind, index, carried)
         return image
 
     def _turn(self, frame: int) -> int:
@@ -96,12 +95,12 @@ class Painter:
         return round(float(self._world.motion.robot[frame, 2]) / (2 * np.pi) * WIDTH)
 
     def _from_far(self, frame: int) -> list[tuple[int, int]]:
-        """(kind, place) of everything there is at a frame."""
+        """Return (kind, index) of all people, partitions and things at a frame, the farthest first."""
         world = self._world
-        there = [(float(world.distance[frame, i]), _PERSON, i) for i in np.flatnonzero(world.present[frame]).tolist()]
-        there += [(float(d), _PANEL, k) for k, d in enumerate(world.panel_distance[frame].tolist())]
-        there += [(d, _THING, k) for k, d in enumerate(world.thing_distance[frame].tolist()) if d < FARTHEST]
-        return [(kind, index) for _, kind, index in sorted(there, reverse=True)]
+        items = [(float(world.distance[frame, i]), _PERSON, i) for i in np.flatnonzero(world.present[frame]).tolist()]
+        items += [(float(d), _PANEL, k) for k, d in enumerate(world.panel_distance[frame].tolist())]
+        items += [(d, _THING, k) for k, d in enumerate(world.thing_distance[frame].tolist()) if d < FARTHEST]
+        return [(kind, index) for _, kind, index in sorted(items, reverse=True)]
 
     def _draw(self, canvas: Canvas, frame: int, kind: int, index: int, carried: dict[int, list[Held]]) -> None:
         boxes = (self._world.boxes, self._world.panel_boxes, self._world.thing_boxes)[kind]
@@ -147,12 +146,12 @@ class Painter:
         draw_figure(canvas, figure)
 
     def _carried(self, frame: int) -> dict[int, list[Held]]:
-        """What is drawn with each person."""
+        """Return the things that are drawn with each person."""
         out: dict[int, list[Held]] = {}
         for person, thing, _, hand in handled_at(self._world.things.handling, int(self._world.tick[frame])):
-            one = self._world.things.things[thing]
-            if not one.standing:
-                out.setdefault(person, []).append(Held(hand, one.category, thing))
+            item = self._world.things.things[thing]
+            if not item.standing:
+                out.setdefault(person, []).append(Held(hand, item.category, thing))
         return out
 
 

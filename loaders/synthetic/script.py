@@ -1,4 +1,4 @@
-"""Who is in a sequence of the sample world, and what each does: states that change once per second.
+"""Decide which people are in a sequence of the sample world, and their states, which change once per second.
 
 Time runs in *ticks* of about a second. Each holds one state of every person, and begins between two keyframes
 (the first with the sequence). Arrays have the shape (ticks, people).
@@ -31,22 +31,24 @@ GAITS: Final = {
     "going upstairs": (0.12, 0.5),
     "going downstairs": (0.0, 0.5),
 }
-"""Share of what people do when they move, and metres per second; those who went up the stairs come down again."""
+"""Share of each gait, and its speed in metres per second. People who went up the stairs come down again."""
 PATIENT_REST: Final = 0.55
-"""Share of the rests of patient parties that are one held pose; the others are two with a moment between them."""
+"""Share of rests of patient parties with one held pose. The other rests have two, with a moment between them."""
 STILL_POSES: Final = {"standing": 0.46, "sitting": 0.36, "bending": 0.13, "lying": 0.05}
 PATIENT: Final = 0.65
-"""Share of the parties of one or two in the open that stay: they hold a pose for thirteen seconds or longer, change to
-another for a moment, and hold one again."""
+"""Share of patient parties among parties of one or two in the open.
+
+They hold a pose for thirteen seconds or longer, change to another for a moment, and hold one again.
+"""
 POSE_SECONDS: Final = (13, 22)
-"""Seconds that the patient hold a pose; the upper bound is not reached."""
+"""Range of the seconds of a patient person's pose, without the upper bound."""
 HIDDEN: Final = 0.29
-"""Share of the parties that stay behind the partitions."""
+"""Share of parties behind the partitions."""
 SPREAD: Final = 0.4
-"""Radians to either side of its bearing that a party in the open moves."""
+"""Maximum angle between the bearing and the motion of a party in the open, in radians."""
 
 ETHNICITIES: Final = ("Caucasian/White", "Negroid/Black", "Mongoloid/Asian", "Others")
-"""As the label files spell them."""
+"""Spellings in the label files."""
 
 _ON_THE_MOVE: Final = (
     *("holding sth", "looking at robot", "looking at sth", "talking on the phone"),
@@ -60,19 +62,19 @@ _FOR_LONG: Final = ("holding sth", "looking at sth", "looking at robot", "lookin
 
 
 def one_of(rng: Rng, choices: Sequence[_Choice]) -> _Choice:
-    """One of the choices, each as likely as the others."""
+    """Return a random choice. All choices are equally likely."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def runs_of(where: Bools) -> list[tuple[int, int]]:
-    """First place of each run of True, and the place after its last."""
+    """Return the first index of each run of True, and the index after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8))).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 @dataclass(frozen=True)
 class Person:
-    """The constant properties of a person. `identity` chooses the colours and does not depend on `track`."""
+    """Constant properties of a person. `identity` chooses the colours and does not depend on `track`."""
 
     track: int
     identity: int
@@ -85,8 +87,10 @@ class Person:
 
 @dataclass(frozen=True)
 class Party:
-    """People who come and move together. Polar zone, in metres and radians, where they stay; `hidden` ones are the
-    crowd behind the partitions, `patient` ones stay and hold their poses for long."""
+    """People who come and move together inside a polar zone, in metres and radians.
+
+    `hidden` parties are the crowd behind the partitions. `patient` parties stay and hold their poses for long.
+    """
 
     members: tuple[int, ...]
     hidden: bool
@@ -98,11 +102,13 @@ class Party:
 
 
 class Script:
-    """States per tick: pose and up to two actions as places in the vocabularies (NONE for no action), whether the
-    person is there, whether it stands apart from its party, and per party whether it moves."""
+    """States per tick: pose and up to two actions (NONE for no action), presence, and distance from the party.
+
+    Poses and actions are indexes of the vocabularies. A party either moves or rests.
+    """
 
     def __init__(self, rng: Rng, ticks: int, people: int) -> None:
-        """The script of a sequence with about `people` people in view at a time."""
+        """Make the script of a sequence with about `people` people in view at a time."""
         self.parties = _parties(rng, people)
         self.people = _persons(rng, self.parties)
         count = len(self.people)
@@ -114,13 +120,13 @@ class Script:
         for index, party in enumerate(self.parties):
             move, shared = _party_moves(rng, ticks, party)
             self.moving[:, index] = move
-            here = _party_presence(rng, ticks, party)
+            present_ticks = _party_presence(rng, ticks, party)
             for member in party.members:
-                self.present[:, member] = here
-                own = _member_poses(rng, move, shared, party.patient)
+                self.present[:, member] = present_ticks
+                single = _member_poses(rng, move, shared, party.patient)
                 # Some do as the first of their party does: they have the same pose.
                 follows = member != party.members[0] and rng.random() < 0.4
-                self.pose[:, member] = self.pose[:, party.members[0]] if follows else own
+                self.pose[:, member] = self.pose[:, party.members[0]] if follows else single
                 self.actions[:, member, 0] = _member_actions(rng, move)
                 self.actions[:, member, 1] = _long_action(rng, move, self.actions[:, member, 0])
             if len(party.members) > 1:
@@ -130,7 +136,7 @@ class Script:
 
 
 def _passers_by(rng: Rng, parties: tuple[Party, ...], present: Bools) -> None:
-    """One in eight of the lone people in the crowd is there for a second or two only."""
+    """Shorten the presence of an eighth of the lone people in the crowd to a second or two."""
     lone = [party.members[0] for party in parties if party.hidden and len(party.members) == 1]
     ticks = len(present)
     for person in lone[::8] if len(parties) > 8 else ():
@@ -140,7 +146,7 @@ def _passers_by(rng: Rng, parties: tuple[Party, ...], present: Bools) -> None:
 
 
 def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
-    """Parties until their people, counted with the time they are away, reach the requested number."""
+    """Return parties until their people, weighted by presence, reach the requested number."""
     parties: list[Party] = []
     count = 0
     # People come and go: about three in four of those in the script are in view at a time.
@@ -160,7 +166,7 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
             patient = bool(size <= 2 and rng.random() < PATIENT)
             near, far = [(2.6, 6.0), (3.5, 9.0), (6.0, 14.0)][int(rng.choice(3, p=[0.4, 0.4, 0.2]))]
             # Spread round the robot by the golden angle: neighbours in time are far apart, and all are covered evenly.
-            bearing = (first_bearing + 2.39996 * sum(not one.hidden for one in parties) + np.pi) % (2 * np.pi) - np.pi
+            bearing = (first_bearing + 2.39996 * sum(not item.hidden for item in parties) + np.pi) % (2 * np.pi) - np.pi
             parties.append(Party(members, False, patient, near, far, float(bearing), SPREAD))
     return tuple(parties)
 
@@ -189,7 +195,7 @@ def _pick(rng: Rng, table: dict[str, float]) -> str:
 
 
 def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
-    """When the party moves, and the pose its members share while it does."""
+    """Return the ticks with motion of the party, and the pose of its members then."""
     move = np.zeros(ticks, bool)
     shared = np.full(ticks, POSE["standing"], np.int64)
     tick = 0
@@ -220,29 +226,31 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
 
 
 _RESTS: Final = {(True, False): (8, 30), (False, False): (4, 15), (False, True): (30, 46)}
-"""Seconds that parties rest, hidden ones and patient ones apart; the upper bound is not reached."""
+"""Ranges of the seconds of rest of other, hidden and patient parties, without the upper bounds."""
 
 
 def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
-    here = np.ones(ticks, bool)
+    present_ticks = np.ones(ticks, bool)
     if party.patient and rng.random() < 0.5:
-        return here
+        return present_ticks
     chance = rng.random()
     if chance < 0.35:
-        here[: int(rng.integers(2, max(3, 2 * ticks // 3)))] = False
+        present_ticks[: int(rng.integers(2, max(3, 2 * ticks // 3)))] = False
     elif chance < 0.7:
-        here[int(rng.integers(ticks // 3, ticks)) :] = False
+        present_ticks[int(rng.integers(ticks // 3, ticks)) :] = False
     if rng.random() < (0.2 if party.hidden else 0.36):
         # Leaves and comes back.
         for _ in range(int(rng.integers(1, 3))):
             start = int(rng.integers(0, ticks))
-            here[start : start + int(rng.integers(4, 13))] = False
-    return here
+            present_ticks[start : start + int(rng.integers(4, 13))] = False
+    return present_ticks
 
 
 def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
-    """The party's gait while it moves; at rest each member's own poses, three seconds or longer each. The patient hold
-    one for long, then another for a moment."""
+    """Set poses: the party's gait while it moves, and single poses of three seconds or longer at rest.
+
+    Patient people hold one pose for long, then another for a moment.
+    """
     pose, last = shared.copy(), ""
     for tick, end in runs_of(~move):
         held = False
@@ -259,7 +267,7 @@ def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
 
 
 def _member_actions(rng: Rng, move: Bools) -> Ints:
-    """One action at a time for three seconds or more, then a pause."""
+    """Set one action at a time for three seconds or more, then a pause."""
     ticks = len(move)
     out = np.full(ticks, NONE, np.int64)
     tick = int(rng.integers(0, 5))
@@ -275,7 +283,7 @@ def _member_actions(rng: Rng, move: Bools) -> Ints:
 
 
 def _long_action(rng: Rng, move: Bools, first: Ints) -> Ints:
-    """Some people hold something or look somewhere for long, beside what else they do."""
+    """Let some people hold something or look somewhere for long, beside their other actions."""
     out = np.full(len(move), NONE, np.int64)
     if rng.random() < 0.35:
         start = int(rng.integers(0, len(move)))
@@ -288,7 +296,7 @@ def _long_action(rng: Rng, move: Bools, first: Ints) -> Ints:
 
 
 def _conversations(rng: Rng, party: Party, move: Bools, actions: Ints) -> None:
-    """While the party rests, one talks and the others listen, in turns."""
+    """Let the members of a resting party talk and listen in turns."""
     ticks = len(move)
     tick = int(rng.integers(0, 4))
     while tick < ticks:
@@ -302,7 +310,7 @@ def _conversations(rng: Rng, party: Party, move: Bools, actions: Ints) -> None:
 
 
 def _separations(rng: Rng, party: Party, ticks: int, apart: Bools) -> None:
-    """Some members join the party later, or leave it."""
+    """Let some members join the party later, or leave it."""
     for member in party.members[1:]:
         chance = rng.random()
         if chance < 0.2:

@@ -11,18 +11,18 @@ import numpy as np
 
 Color = tuple[int, int, int]
 Rectangle = tuple[float, float, float, float]
-"""Left, top, right and bottom, in shares of the box."""
+"""Left, top, right and bottom edge in shares of the box."""
 
 WOOD: Final[Color] = (95, 75, 55)
 METAL: Final[Color] = (70, 72, 78)
 RUBBER: Final[Color] = (35, 35, 38)
 _DARK: Final[Color] = (52, 52, 56)
 _MIDDLE: Final = 0.49999
-"""Half of a box, rounded down."""
+"""Return half of a length, rounded down."""
 
 
 class Disc(NamedTuple):
-    """A filled circle: its middle in shares of the box, its radius in a share of the width and one of the height."""
+    """Filled circle: its middle in shares of the box, its radii in shares of width and height."""
 
     u: float
     v: float
@@ -31,7 +31,7 @@ class Disc(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """A thing in the world: metres across and high, and its parts by colour, in the order of drawing."""
+    """Form of a thing: metres across and high, and its parts by colour, in the order of drawing."""
 
     width: float
     height: float
@@ -88,7 +88,7 @@ STANDING: Final = {
     "shelf": Standing(1.0, 1.5, _SHELF),
     "pole/trafficcone": Standing(0.35, 0.7, _CONE),
 }
-"""By category."""
+"""Forms by category."""
 
 HELD_OBJECTS: Final[dict[str, tuple[float, float, Color]]] = {
     "phone": (0.08, 0.16, (30, 32, 38)),
@@ -103,6 +103,6 @@ HELD_OBJECTS: Final[dict[str, tuple[float, float, Color]]] = {
 
 
 def shade(color: Color, *change: int) -> Color:
-    """A colour made lighter or darker, by one amount or by one for each of its channels."""
+    """Return a lighter or darker colour, by one amount or by one amount per channel."""
     red, green, blue = np.add(color, change).tolist()
     return red, green, blue

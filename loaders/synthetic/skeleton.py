@@ -1,4 +1,4 @@
-"""The seventeen joints of a figure: where its body is, for the pictures and for the pose labels alike.
+"""Place the seventeen joints of a figure, for the pictures and for the pose labels.
 
 A joint lies in the body's own frame as (forward, left, down): the first two in widths of the box, the last from 0
 (top of the box) to 1 (feet). The camera sees forward and left as one coordinate across, by the way the person faces.
@@ -26,7 +26,7 @@ _LEGS: Final = ((R_KNEE, R_FOOT, 1.0), (L_KNEE, L_FOOT, -1.0))
 """Knee, foot, and the sign of their part in a step."""
 
 _ARM_JOINTS: Final = ((R_ELBOW, R_WRIST, -1.0), (L_ELBOW, L_WRIST, 1.0))
-"""Elbow, wrist, and the sign of their way to the left; the first action is done with the right arm."""
+"""Elbow, wrist, and the sign of their direction to the left. The first action uses the right arm."""
 
 _BODIES_OF: Final = {
     # head, neck and middle of the hips; then the left shoulder, elbow, wrist, hip, knee and foot
@@ -66,11 +66,11 @@ _BODIES_OF: Final = {
         (0.085, 0.17, 0.52, 0.2, 0.32, 0.4, 0.53, 0.74, 0.93),
     ),
 }
-"""Per pose, the joints' forward, left and down; all other poses are upright as in standing."""
+"""Forward, left and down offsets of joints by pose. All other poses are upright as in standing."""
 
 
 def _body(pose: str) -> Floats:
-    """Joints of a pose, (17, 3): the left side mirrored for the right, and eyes before the head."""
+    """Return the joints of a pose, (17, 3). The right side mirrors the left, and the eyes are before the head."""
     rows = np.array(_BODIES_OF.get(pose, _BODIES_OF["standing"])).T
     out = np.zeros((len(JOINTS), 3))
     out[[HEAD, NECK, HIP]], out[list(LEFT_SIDE[1:])] = rows[:3], rows[3:]
@@ -79,16 +79,16 @@ def _body(pose: str) -> Floats:
     return out
 
 
-def _per_pose(values: dict[str, float], other: float) -> Floats:
-    return np.array([values.get(name, other) for name in POSES])
+def _per_pose(values: dict[str, float], opposite: float) -> Floats:
+    return np.array([values.get(name, opposite) for name in POSES])
 
 
 _BODIES: Final = np.stack([_body(name) for name in POSES])
 _LEAST_SIDE: Final = _per_pose({"sitting": 0.5, "bending": 0.85, "lying": 1.0, "cycling": 1.0, "scootering": 0.8}, 0.35)
-"""How far across a pose is always drawn, so that it differs from others also when seen from the front."""
+"""Minimum offset across of a drawn pose, so that poses differ also if seen from the front."""
 _SWING: Final = _per_pose({"walking": 0.20, "running": 0.30, "going upstairs": 0.18, "going downstairs": 0.18}, 0.0)
 _PEDAL: Final = _per_pose({"cycling": 0.06}, 0.0)
-"""Radius of the circle in which a foot goes round."""
+"""Radius of the circle of a foot's motion."""
 _STANCE: Final = _per_pose({"skating": 0.16, "scootering": 0.16}, 0.0)
 """Distance of a foot on a board from the middle."""
 
@@ -112,14 +112,14 @@ _FREE_ARMS: Final = np.array([name not in ("bending", "lying", "cycling", "scoot
 
 
 def facing(pose: Ints, side: Floats, toward: Floats) -> tuple[Floats, Floats]:
-    """How far across (-1 left, 1 right) and how far toward the robot (1 front, -1 back) a figure is drawn."""
+    """Return how far across (-1 left, 1 right) and toward the robot (1 front, -1 back) a figure is drawn."""
     across = np.where(side < 0, -1.0, 1.0) * np.maximum(np.abs(side), _LEAST_SIDE[pose])
     depth = np.sqrt(np.maximum(0.0, 1.0 - across**2))
     return across, np.where(toward < 0, -depth, depth)
 
 
 def joints(pose: Ints, actions: Ints, side: Floats, toward: Floats, stride: Floats) -> Floats:
-    """Joints (n, 17, 2) of n figures inside their boxes: across from -0.5 to 0.5, down from 0 to 1.
+    """Return joints (n, 17, 2) of n figures in their boxes: across from -0.5 to 0.5, down from 0 to 1.
 
     `pose` (n) and `actions` (n, 2) are places in the vocabularies, negative for none; `side` and `toward` (n) are how
     the person faces (1, 0: to the right of the picture; 0, 1: the robot); `stride` (n) is the phase of its gait.

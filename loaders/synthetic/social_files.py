@@ -1,4 +1,4 @@
-"""The social and the reasoning files of a simulated sequence: demographics, interactions, groups, handled things.
+"""Write the social and reasoning files of a simulated sequence: demographics, interactions, groups, handled things.
 
 They hold the records of the 2D file with lists beside the boxes, repeated on every frame. The lists are written as JSON
 text: most of them stay the same from frame to frame, and a sequence has up to a million.
@@ -48,15 +48,18 @@ _SPELLINGS: Final = {
 }
 
 Lists = dict[int, msgspec.Raw]
-"""By a person's place, the text of one of its lists; who is not in it has an empty one."""
+"""Text of one of a person's lists, by the person's index. Other people have an empty list."""
 
 
 class Entries:
-    """Runs of relations as one entry per person and frame, sorted by frame and person: the person who has it, its
-    run, its other end (a person or a thing) and its difficulty; `start` (frames + 1): where each frame's begin."""
+    """Relations with one entry per person and frame, sorted by frame and person.
+
+    An entry has the person, the run, the other end (a person or a thing) and the difficulty. `start` (frames + 1) has
+    the index of the first entry of each frame.
+    """
 
     def __init__(self, world: World, runs: RelationRuns, directions: Ints | None = None) -> None:
-        """Entries of the people with a box.
+        """Make the entries of people with a box.
 
         `directions` (runs) of relations between two people: 0 both, 1 or 2 only that of the first or the second.
         """
@@ -64,35 +67,35 @@ class Entries:
         length = world.starts[runs.last + 1] - begin
         run = np.repeat(np.arange(len(begin)), length)
         frame = np.arange(len(run)) - (np.cumsum(length) - length)[run] + begin[run]
-        person, other = runs.person[run], runs.other[run]
+        person, target = runs.person[run], runs.target[run]
         if directions is not None:
-            way = np.repeat((1, 2), len(run))
+            sense = np.repeat((1, 2), len(run))
             run, frame = np.tile(run, 2), np.tile(frame, 2)
-            person, other = np.append(person, other), np.append(other, person)
+            person, target = np.append(person, target), np.append(target, person)
             # A partner may have no box, because annotators also name people behind another box.
-            there = world.present[frame, other] & ((directions[run] == 0) | (directions[run] == way))
-            run, frame, person, other = (column[there] for column in (run, frame, person, other))
+            kept = world.present[frame, target] & ((directions[run] == 0) | (directions[run] == sense))
+            run, frame, person, target = (column[kept] for column in (run, frame, person, target))
         boxed = world.boxed[frame, person]
-        run, frame, person, other = (column[boxed] for column in (run, frame, person, other))
+        run, frame, person, target = (column[boxed] for column in (run, frame, person, target))
         hidden = world.hidden[frame, person]
         if directions is not None:
-            hidden = hidden | world.hidden[frame, other]
+            hidden = hidden | world.hidden[frame, target]
         # Hard labels are mostly those of people who are covered; one draw per run, as for actions.
         draw = runs.draw[run]
         level = np.where(draw < np.where(hidden, 0.5, 0.04), HARD_CODE, 1 + (draw * 64).astype(np.int64) % 2)
-        order = np.lexsort((run, other, person, frame))
+        order = np.lexsort((run, target, person, frame))
         self.start = np.searchsorted(frame[order], np.arange(world.frames + 1))
-        self.person, self.run, self.other, self.level = person[order], run[order], other[order], level[order]
+        self.person, self.run, self.target, self.level = person[order], run[order], target[order], level[order]
 
     def at(self, frame: int) -> list[tuple[int, int, int, int]]:
-        """(person, run, other, level) of a frame."""
+        """Return (person, run, other, level) of a frame."""
         part = slice(int(self.start[frame]), int(self.start[frame + 1]))
-        columns = (self.person, self.run, self.other, self.level)
+        columns = (self.person, self.run, self.target, self.level)
         return list(zip(*(column[part].tolist() for column in columns), strict=True))
 
 
 class SocialFiles:
-    """Writes the lists of one sequence."""
+    """Writer of the lists of one sequence."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -114,32 +117,32 @@ class SocialFiles:
 
     @property
     def interactions(self) -> int:
-        """Entries of `H-interaction` in the whole sequence."""
+        """Return the number of entries of `H-interaction` in the whole sequence."""
         return len(self._bonds.person)
 
-    def records(self, one: LabelFrame) -> tuple[list[_Record], list[_Record]]:
-        """Records of the social and of the reasoning file at a frame of the 2D file.
+    def records(self, item: LabelFrame) -> tuple[list[_Record], list[_Record]]:
+        """Return records of the social and of the reasoning file at a frame of the 2D file.
 
         The reasoning file has other names, and mostly leaves out empty lists.
         """
-        together, handled = self._interactions(one.frame), self._handles(one.frame)
-        sizes = Counter(record["social_group"]["cluster_ID"] for record in one.records if "social_group" in record)
+        together, handled = self._interactions(item.frame), self._handles(item.frame)
+        sizes = Counter(record["social_group"]["cluster_ID"] for record in item.records if "social_group" in record)
         social, reasoning = [], []
-        for i, record in zip(one.people, one.records, strict=True):
-            described = record | {"demographics_info": self._demographics(one.frame, i)}
-            group = {"group_info": self._group(one.frame, i)}
-            mine = together.get(i, _EMPTY)
-            social.append(described | ({} if self._key_missing[one.frame, i] else {"H-interaction": mine}) | group)
+        for i, record in zip(item.people, item.records, strict=True):
+            described = record | {"demographics_info": self._demographics(item.frame, i)}
+            group = {"group_info": self._group(item.frame, i)}
+            entries = together.get(i, _EMPTY)
+            social.append(described | ({} if self._key_missing[item.frame, i] else {"H-interaction": entries}) | group)
             row = described
             if i in together or i % 3 == 0:
-                row = row | {"HHI": mine}
+                row = row | {"HHI": entries}
             if i in handled or i % 5 == 0:
                 row = row | {"HOI": handled.get(i, _EMPTY)}
             row = row | group
             if "social_group" in record:
                 row["group_size"] = sizes[record["social_group"]["cluster_ID"]]
             reasoning.append(row)
-        return social + one.foreign, reasoning + one.foreign
+        return social + item.foreign, reasoning + item.foreign
 
     def _demographics(self, frame: int, i: int) -> msgspec.Raw:
         if self._undescribed[frame, i]:
@@ -185,7 +188,7 @@ def _text(element: _Record) -> msgspec.Raw:
 
 
 def _some(rng: Rng, count: int, share: float) -> Bools:
-    """Which of `count` runs are chosen, a share of them but always one where there are any."""
+    """Choose a share of `count` runs, at least one if there are any."""
     chosen = rng.random(count) < share
     if count and not chosen.any():
         chosen[int(rng.integers(count))] = True
@@ -193,7 +196,7 @@ def _some(rng: Rng, count: int, share: float) -> Bools:
 
 
 def _person_texts(rng: Rng, world: World, i: int) -> dict[str, msgspec.Raw]:
-    """`demographics_info` of a person: as it is, hard, impossible, and a slip of the annotators."""
+    """Return `demographics_info` of a person: as it is, hard, impossible, and with a slip of the annotators."""
     person = world.people[i]
 
     def text(gender: str, age: str, levels: list[int], ethnicity: str = person.ethnicity) -> msgspec.Raw:
@@ -215,7 +218,7 @@ def _person_texts(rng: Rng, world: World, i: int) -> dict[str, msgspec.Raw]:
 
 
 def _group_texts(rng: Rng, world: World) -> list[tuple[msgspec.Raw, msgspec.Raw]]:
-    """`group_info` per party: the entry of its members, and that of one that differs; empty for one alone."""
+    """Return `group_info` per party: the entry of its members, and a differing entry. Both are empty for one person."""
     out = []
     for index, party in enumerate(world.parties):
         if len(party.members) == 1:
@@ -238,29 +241,29 @@ def _group_texts(rng: Rng, world: World) -> list[tuple[msgspec.Raw, msgspec.Raw]
 
 
 def _venue(sequence: str, party: int) -> str:
-    """The place in the sequence's name; one party in five writes it with a colon."""
+    """Return the venue of the sequence's name. One party in five writes it with a colon."""
     venue = _VENUES[sequence.split("-")[1]]
     return venue.replace("_", ":", 1) if party % 5 == 4 else venue
 
 
 def _written_labels(rng: Rng, world: World) -> list[str]:
-    """The label of each run, a few of them in another spelling; more of those that are rare."""
+    """Return the label of each run, some in another spelling, rare labels more often."""
     labels = [INTERACTIONS[label] for label in world.interactions.label.tolist()]
     odd = [
         draw < (0.4 if "sth" in label else 0.04) for label, draw in zip(labels, rng.random(len(labels)), strict=True)
     ]
-    return [_SPELLINGS.get(label, label) if other else label for label, other in zip(labels, odd, strict=True)]
+    return [_SPELLINGS.get(label, label) if target else label for label, target in zip(labels, odd, strict=True)]
 
 
 def _thing_texts(rng: Rng, world: World) -> list[str]:
-    """The entry of each run of handling, with LEVEL in the place of its difficulty; some pairs hold texts."""
+    """Return the entry of each run of handling, with LEVEL for its difficulty. Some pairs hold texts."""
     runs, numbers = world.things.handling, category_ids(world)
     out = []
     for thing, verb, as_text in zip(
-        runs.other.tolist(), runs.label.tolist(), rng.random(len(runs.other)) < 0.1, strict=True
+        runs.target.tolist(), runs.label.tolist(), rng.random(len(runs.target)) < 0.1, strict=True
     ):
-        one = world.things.things[thing]
-        pair = [one.number, numbers[OBJECTS.index(one.category)]]
+        item = world.things.things[thing]
+        pair = [item.number, numbers[OBJECTS.index(item.category)]]
         entry = {"inter_labels": {VERBS[verb]: "LEVEL"}, "pair": [str(number) for number in pair] if as_text else pair}
         out.append(msgspec.json.encode(entry).decode())
     return out

@@ -1,4 +1,4 @@
-"""A sequence of the sample world: everything that its label files and pictures are made of."""
+"""Simulate a sequence of the sample world, for its label files and pictures."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 FLOOR: Final = -0.76
 """Height of the floor in the rig's frame, metres."""
 FARTHEST: Final = 20.0
-"""Metres: nobody is labelled beyond."""
+"""Maximum distance of labelled people, in metres."""
 OCCLUSION_BOUNDS: Final = (0.08, 0.30, 0.90)
-"""Covered shares where fully visible, mostly visible and severely occluded end."""
+"""Maximum covered shares of fully visible, mostly visible and severely occluded people."""
 
 _WIDTHS: Final = {"walking": 0.72, "sitting": 0.72, "bending": 0.85, "cycling": 1.25, "lying": 1.5, "running": 0.85}
 _HEIGHTS: Final = {"sitting": 0.74, "bending": 0.68, "lying": 0.36, "cycling": 1.04, "scootering": 1.05}
 BODY_WIDTH: Final = np.array([_WIDTHS.get(name, 0.62) for name in POSES])
-"""Metres across, per pose."""
+"""Width by pose, in metres."""
 BODY_HEIGHT: Final = np.array([_HEIGHTS.get(name, 1.0) for name in POSES])
-"""Share of a person's height, per pose."""
+"""Height by pose, as a share of the person's height."""
 
 GRID: Final = 4
-"""Pixels per cell of the raster that coverage is counted on."""
+"""Pixels per cell of the raster for coverage."""
 _ACROSS: Final = WIDTH // GRID
 
 
 class World:
-    """One simulated sequence of about `size` people in view: a pure function of (name, seed, frames, size).
+    """Simulated sequence of about `size` people in view: a pure function of (name, seed, frames, size).
 
     No file and no other sequence changes it. Arrays are per frame and person, (frames, people), where nothing else is
     stated. `tick` (frames): number of the tick whose states hold; `starts` (ticks + 1): first frame of each tick, then
@@ -83,12 +83,12 @@ class World:
         self.boxed = self.present & ~(spans(self.rng("dropouts"), self.hidden, 0.0006, 6, 22) & self.hidden)
 
     def rng(self, *names: str) -> Rng:
-        """A generator of random numbers that depends on nothing but the seed, the sequence and the names."""
+        """Return a generator of random numbers that depends only on the seed, the sequence and the names."""
         text = "/".join([str(self.seed), self.name, *names]).encode()
         return np.random.default_rng(int.from_bytes(hashlib.sha256(text).digest()[:16], "big"))
 
     def named(self, *digits: int) -> bool:
-        """Whether the sequence's name ends in one of these digits, which decide the awkward cases of its files."""
+        """Return whether the sequence's name ends in one of the digits, which decide awkward cases of its files."""
         return self.name.endswith(tuple(f"_{digit}" for digit in digits))
 
     def _joints(self, rows: Floats) -> npt.NDArray[np.float32]:
@@ -100,7 +100,7 @@ class World:
         for start in range(0, frames, 128):
             part = slice(start, start + 128)
             pose, actions = self.pose[part].ravel(), self.actions[part].reshape(-1, self.actions.shape[-1])
-            side, toward, phase = (one[part].ravel() for one in (*self.turned, stride))
+            side, toward, phase = (item[part].ravel() for item in (*self.turned, stride))
             flat = joints(pose, actions, side, toward, phase).reshape(-1, people, len(JOINTS), 2)
             x, w = self.boxes[part, :, 0, None], self.boxes[part, :, 2, None]
             top, bottom = rows[part, :, 0, None], rows[part, :, 1, None]
@@ -109,16 +109,16 @@ class World:
         return out
 
     def _thing_boxes(self) -> tuple[Ints, Floats]:
-        """Boxes and distances of standing things, by column of `things.stands`."""
+        """Compute boxes and distances of standing things, by column of `things.stands`."""
         things = self.things
         sizes = np.array([STANDING[things.things[k].category][:2] for k in things.stands]).reshape(-1, 2)
         x, y = to_robot(self.motion.robot[:, None, :], things.x, things.y)
         distance = np.maximum(np.hypot(x, y), 0.8)
         rows = body_rows(np.zeros_like(distance), distance, sizes[:, 1])
-        return _upright(_columns(x, y), distance, rows, sizes[:, 0]), np.where(things.there, distance, np.inf)
+        return _upright(_columns(x, y), distance, rows, sizes[:, 0]), np.where(things.present, distance, np.inf)
 
     def _covered(self) -> tuple[Floats, Bools]:
-        """Share of each box behind nearer boxes, counted on a raster of `GRID` pixels, and which joints do so.
+        """Compute the share of each box behind nearer boxes, on a raster of `GRID` pixels, and the covered joints.
 
         0 and False for the absent. A person's box covers with the steps below it, down to the floor; partitions and
         things cover their boxes.
@@ -137,21 +137,21 @@ class World:
             taken[:] = 0
             row = np.clip(self.joints[frame, :, :, 1] // GRID, 0, len(taken) - 1).astype(np.int64)
             column = (self.joints[frame, :, :, 0] // GRID).astype(np.int64) % _ACROSS + _ACROSS
-            place = row * (3 * _ACROSS) + column
+            index = row * (3 * _ACROSS) + column
             nearest = np.argsort(-obstacle_distance[frame], kind="stable").tolist()
-            away = obstacle_distance[frame].tolist()
+            far = obstacle_distance[frame].tolist()
             for i in order[frame].tolist():
                 if not self.present[frame, i]:
                     continue
-                while nearest and away[nearest[-1]] < distance[frame, i]:
+                while nearest and far[nearest[-1]] < distance[frame, i]:
                     _take(taken, obstacle_boxes[frame, nearest.pop()].tolist(), 0)
-                joint_covered[frame, i] = cells[place[i]]
+                joint_covered[frame, i] = cells[index[i]]
                 covered[frame, i] = _take(taken, boxes[frame, i].tolist(), int(floor[frame, i]))
         return covered, joint_covered
 
 
 def spans(rng: Rng, where: Bools, per_frame: float, least: int, most: int) -> Bools:
-    """Random spans of `least` to `most` frames that begin, with this chance per frame, where `where` holds."""
+    """Return random spans of `least` to `most` frames. They begin at frames of `where`, with the chance per frame."""
     out = np.zeros_like(where)
     starts = np.argwhere(where & (rng.random(where.shape) < per_frame))
     for frame, person in starts.tolist():
@@ -160,14 +160,14 @@ def spans(rng: Rng, where: Bools, per_frame: float, least: int, most: int) -> Bo
 
 
 def body_rows(feet: Floats, distance: Floats, height: Floats) -> Floats:
-    """Rows (..., 2) of the top and the bottom of bodies, not cut at the image; `feet` is metres above the floor."""
+    """Return rows (..., 2) of top and bottom of bodies, not cut at the image. `feet` is metres above the floor."""
     low = FLOOR + feet
     rows = [row_of_height(low + height, distance), row_of_height(low, distance)]
     return np.array(np.stack(rows, axis=-1), np.float64)
 
 
 def _starts(rng: Rng, frames: int) -> Ints:
-    """First frame of each tick, then `frames`: one tick begins between any two keyframes, not near either.
+    """Return the first frame of each tick, then `frames`. One tick begins between any two keyframes.
 
     Each at a place of its own: where changes may fall in one second does not show where they fall in the next.
     """
@@ -177,12 +177,12 @@ def _starts(rng: Rng, frames: int) -> Ints:
 
 
 def _columns(x: Floats, y: Floats) -> Floats:
-    """Columns, not wrapped, of points in the robot's frame."""
+    """Return columns, not wrapped, of points in the robot's frame."""
     return np.asarray(WIDTH * (0.5 - np.arctan2(y, x) / (2 * np.pi)))
 
 
 def _upright(column: Floats, distance: Floats, rows: Floats, width: Floats) -> Ints:
-    """Boxes (..., 4) in whole pixels of upright things round a column and is `width` metres across."""
+    """Return boxes (..., 4) in whole pixels of upright things around a column that are `width` metres across."""
     half = WIDTH * np.arctan2(width / 2, distance) / (2 * np.pi)
     left, right = np.round(column - half), np.round(column + half)
     top, bottom = np.moveaxis(np.clip(np.round(rows), 0, HEIGHT), -1, 0)
@@ -190,8 +190,10 @@ def _upright(column: Floats, distance: Floats, rows: Floats, width: Floats) -> I
 
 
 def _panels(rng: Rng, script: Script) -> Floats:
-    """An opaque partition before each crowd, wide enough to hide most of it: (n, 5), its ends (x, y, x, y) in the world
-    and its height, metres."""
+    """Return an opaque partition before each crowd, wide enough to hide most of it.
+
+    Shape: (n, 5). A row has the ends (x, y, x, y) in the world and the height, in metres.
+    """
     panels = []
     for bearing in sorted({party.bearing for party in script.parties if party.hidden}):
         near = float(rng.uniform(6.2, 7.2))
@@ -203,7 +205,7 @@ def _panels(rng: Rng, script: Script) -> Floats:
 
 
 def _panel_boxes(panels: Floats, robot: Floats) -> tuple[Ints, Floats]:
-    """Each partition as one upright rectangle at the distance of its middle."""
+    """Compute each partition as one upright rectangle at the distance of its middle."""
     x0, y0, x1, y1, height = np.ascontiguousarray(panels.T)
     points = ((x0, y0), (x1, y1), ((x0 + x1) / 2, (y0 + y1) / 2))
     begin, end, middle = (to_robot(robot[:, None, :], x, y) for x, y in points)
@@ -216,13 +218,13 @@ def _panel_boxes(panels: Floats, robot: Floats) -> tuple[Ints, Floats]:
 
 
 def _clusters(script: Script) -> Ints:
-    """Group numbers per tick: one per party, and one of their own for those apart or alone."""
+    """Return group numbers per tick: one per party, and a number for each person apart or alone."""
     party = np.array([person.party for person in script.people])
     return np.where(script.apart, int(party.max()) + 1 + np.arange(len(party)), party)
 
 
 def _take(taken: npt.NDArray[np.uint8], box: list[int], floor: int) -> float:
-    """The share of the box already taken; then takes all of it, and what is below it down to the row of the floor."""
+    """Return the taken share of a box. Then take the box, and the pixels below it down to the floor."""
     x, y, w, h = box
     left = round(x / GRID) % _ACROSS + _ACROSS
     right = left + max(1, round(w / GRID))

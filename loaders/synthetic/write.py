@@ -1,4 +1,4 @@
-"""Writes a sample root, one sequence at a time, each from its own seed, in worker processes; and sums up its shares."""
+"""Write a sample root in worker processes, each sequence from its own seed, and sum up its shares."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _PLACES: Final = ("plaza", "cafe", "hall", "library", "street", "lobby", "atrium", "campus", "market")
 _CALIBRATION: Final = Path(__file__).parent / "calibration"
-"""Files laid out like the published ones; the numbers are the sample's own."""
+"""Calibration files in the layout of the published ones. The numbers are the sample's."""
 
 FULL_SCALE: Final = (
     *((1079, 12), (715, 11), (789, 13), (1604, 42), (1222, 23), (638, 18), (1663, 7), (425, 5), (791, 23)),
@@ -41,13 +41,15 @@ _SHARES: Final = (
     ("3D boxes without lidar points", "without points", "solid", "{:.1%}", "3 %"),
     ("interactions per person and frame", "interactions", "boxes", "{:.2f}", "1.7"),
 )
-"""What, the count above and below the line, how it is printed, and its value in JRDB (the test split; hard labels also
-its train split, interactions that alone)."""
+"""Share, the counts above and below the line, the format, and its value in JRDB.
+
+Values are of the test split. Hard labels are of both splits, interactions of the train split.
+"""
 
 
 @dataclass(frozen=True)
 class Order:
-    """One sequence to write."""
+    """Sequence to write."""
 
     root: str
     name: str
@@ -59,8 +61,11 @@ class Order:
 
 @dataclass(frozen=True)
 class Written:
-    """Counts of a sequence, for the summary. Shares are counted over 2D boxes (hard labels: over labels at keyframes;
-    gaps: over people, at keyframes; points: over people in view)."""
+    """Counts of a sequence for the summary.
+
+    Shares are counted over 2D boxes. Hard labels are counted over labels at keyframes, gaps over people at keyframes,
+    and points over people in view.
+    """
 
     name: str
     boxes: int
@@ -69,19 +74,19 @@ class Written:
 
 
 def sequence_name(index: int) -> str:
-    """The name of the sample's sequence number `index`, from 0."""
+    """Return the name of the sample's sequence number `index`, from 0."""
     return f"sample-{_PLACES[index % len(_PLACES)]}-{index // len(_PLACES) + 1:02d}_{index % 4}"
 
 
 def plan(root: Path, sizes: list[tuple[int, int]], seed: int, images: str) -> list[Order]:
-    """Orders for sequences of these (frames, people), written into `root`; `images` as in `render.image_frames`."""
+    """Return orders for sequences of (frames, people) in `root`. `images` is as in `pictures.panorama_frames`."""
     return [
         Order(str(root), sequence_name(i), seed, frames, people, images) for i, (frames, people) in enumerate(sizes)
     ]
 
 
 def write(orders: list[Order], workers: int) -> Iterator[Written]:
-    """Write the sequences; yields each as it is done, in no fixed order."""
+    """Write the sequences. Yield each when it is done, in any order."""
     for root in {order.root for order in orders}:
         shutil.copytree(_CALIBRATION, Path(root) / "calibration")
     for _, written in map_sequences(write_sequence, orders, workers, lambda order: order.frames * order.people):
@@ -113,7 +118,7 @@ def _count(world: World, quirks: Quirks) -> Counter[str]:
     level, _ = drawn_difficulty(world)
     # A pose, and up to two other actions.
     labels = np.insert(world.actions != NONE, 0, True, axis=2)[key] & world.boxed[key][..., None]
-    seen = world.boxed[key]
+    counted = world.boxed[key]
     return Counter(
         {
             "frames": world.frames,
@@ -121,8 +126,8 @@ def _count(world: World, quirks: Quirks) -> Counter[str]:
             "occluded": int((world.boxed & world.hidden).sum()),
             "labels": int(labels.sum()),
             "hard labels": int((labels & (level[key] == HARD_CODE)).sum()),
-            "tracks": int(seen.any(axis=0).sum()),
-            "tracks with gaps": sum(bool((np.diff(np.flatnonzero(person)) > 1).any()) for person in seen.T),
+            "tracks": int(counted.any(axis=0).sum()),
+            "tracks with gaps": sum(bool((np.diff(np.flatnonzero(person)) > 1).any()) for person in counted.T),
             "solid": int(world.present.sum()),
             "without points": int((world.present & (lidar_points(world, quirks) == 0)).sum()),
         }
@@ -130,10 +135,10 @@ def _count(world: World, quirks: Quirks) -> Counter[str]:
 
 
 def rows(written: Sequence[Written]) -> list[dict[str, Any]]:
-    """One row per share: what, here, in JRDB."""
-    total = sum((one.counts for one in written), Counter())
+    """Return one row per share: its name, its value in the sample, and its value in JRDB."""
+    total = sum((item.counts for item in written), Counter())
     out = []
     for what, part, whole, form, published in _SHARES:
-        here = form.format(total[part] / total[whole]).replace("%", " %") if total[whole] else "n/a"
-        out.append({"what": what, "here": here, "JRDB": published})
+        value = form.format(total[part] / total[whole]).replace("%", " %") if total[whole] else "n/a"
+        out.append({"what": what, "here": value, "JRDB": published})
     return out
