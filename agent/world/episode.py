@@ -408,17 +408,16 @@ class WorldEpisode:
         return [
             {
                 "name": f"reads/world/{name}.cypher",
-                "parameters": self._parameters(),
+                # The hash of the episode depends on the run, and shards of a run must have equal transcripts.
+                "parameters": {"question": self._rows.question, "step": self._step},
                 "rows": [row for row in rows[name] if people >= {row[end] for end in ends}],
             }
             for name, ends in (("slots", ("entity",)), ("pairs", ("source", "target")))
         ]
 
-    def _parameters(self) -> dict[str, Any]:
-        return {"hash": episode_hash(self.key), "step": ALWAYS}
-
     def _rows_of(self, name: str, values: Mapping[str, Any] = MappingProxyType({})) -> list[dict[str, Any]]:
-        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), {**self._parameters(), **values})
+        own = {"hash": episode_hash(self.key), "step": ALWAYS}
+        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), {**own, **values})
 
     def _read_evidence(self) -> Evidence:
         self._settle()
