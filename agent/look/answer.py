@@ -8,7 +8,7 @@ guess by a hash of the choices.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -94,17 +94,17 @@ def conclude(
     hypotheses: Sequence[RankedHypothesis],
     choices: Sequence[str],
     frames: Sequence[int],
-    slots: Sequence[SlotSupport] | None = None,
+    slots: Callable[[RankedHypothesis], Sequence[SlotSupport]] | None = None,
 ) -> Conclusion | None:
     """Return the answer about the likeliest target, or about a nearly as likely one if only that one has an answer.
 
     Args:
         plan: The plan.
-        tracks: Readings and looks. The readings of the possible targets are enough, except for counts.
+        tracks: Readings and looks. The readings of `near_targets` are enough, unless `needs_everyone`.
         hypotheses: The bindings, the best first.
         choices: Choices of the question.
         frames: Frames at which looks can be made, ascending.
-        slots: Support of the plan's parts under the best binding. Default: the support by `tracks`.
+        slots: Function that returns the support of the plan's parts under a binding. Default: the support by `tracks`.
 
     Returns:
         The conclusion, or None if no person fits the plan.
@@ -112,10 +112,9 @@ def conclude(
     best = best_of_each(hypotheses, plan.target)
     if not best:
         return None
-    order = [*best]
-    near = [entity for entity in order if best[entity].log_odds >= best[order[0]].log_odds - UNIT]
+    near = near_targets(plan, hypotheses)
     reads = {entity: _Reader(plan, tracks, entity, choices, frames).read() for entity in near}
-    entity = next((entity for entity in near if reads[entity].answer is not None), order[0])
+    entity = next((entity for entity in near if reads[entity].answer is not None), near[0])
     answer, frame, state = reads[entity]
     described = [tracks.nearest_looked(at) for at in frames_of(plan, plan.target)]
     box_frame, box = _evidence(tracks, entity, frame, described)
@@ -124,8 +123,8 @@ def conclude(
         guess = MODES[plan.answer.mode].make((frame, frame), angle)
         return Conclusion(guess_choice(choices) if choices else guess, entity, box_frame, box, "guess")
     hypothesis = best[entity]
-    slots = slot_supports(plan, tracks, hypothesis) if slots is None or entity != order[0] else slots
-    states = [slot.state for slot in slots]
+    supports = slot_supports(plan, tracks, hypothesis) if slots is None else slots(hypothesis)
+    states = [slot.state for slot in supports]
     if not states or hypothesis.log_odds <= 0:
         verdict: Verdict = "guess"
     else:
@@ -133,6 +132,19 @@ def conclude(
         clear = clear and not _is_neither(answer, choices)
         verdict = "certain" if clear and {state, *states} == {"certain"} else "supported"
     return Conclusion(answer, entity, box_frame, box, verdict)
+
+
+def near_targets(plan: Plan, hypotheses: Sequence[RankedHypothesis]) -> list[str]:
+    """Return the likeliest target, and the targets that are at most one reading less likely, the best first."""
+    best = best_of_each(hypotheses, plan.target)
+    least = max((row.log_odds for row in best.values()), default=0.0) - UNIT
+    return [entity for entity in best if best[entity].log_odds >= least]
+
+
+def needs_everyone(plan: Plan) -> bool:
+    """Return whether the answer depends on readings of other people than the target."""
+    grouped = plan.answer.attribute == "group_size" or any(time.is_group_event for time in plan.times.values())
+    return grouped or plan.answer.read == "count"
 
 
 def guess_choice(choices: Sequence[str]) -> Choice:

@@ -8,13 +8,14 @@ them into bindings. The readings of the target, and with them the answer, are re
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.look.answer import Conclusion, conclude
+from jrdb_avr.agent.look.answer import Conclusion, conclude, near_targets, needs_everyone
 from jrdb_avr.agent.look.moments import group_changes
 from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, parts_of
 from jrdb_avr.agent.perceive.fields import perceivable
@@ -302,12 +303,9 @@ class WorldEpisode:
         shared: tuple[Any, ...] = (self.key, self._rows.written, step)
         has = tuple(AttributeRow(*self._ends(entity, look), *shared, *columns) for entity, *columns in values)
         related = tuple(
-            RelationRow(
-                f"{self.key}/{row.source}", f"{self.key}/{row.target}", self.key, self._rows.written, step, row.frame,
-                row.name, row.log_odds, row.weight, look.id, row.origin,
-            )
-            for row in relations
-        )  # fmt: skip
+            RelationRow(*(f"{self.key}/{source}", f"{self.key}/{target}", *shared, *columns, look.id, origin))
+            for source, target, *columns, origin in relations
+        )
         return msgspec.structs.replace(fact, has=has, related=related)
 
     def _ends(self, entity: str, look: LookRow) -> tuple[str, str]:
@@ -386,14 +384,23 @@ class WorldEpisode:
         bindings = self.bindings()
         if self.plan is None or not bindings:
             return None
-        return conclude(self.plan, self.read_tracks(), bindings, choices, frames, self.slots(bindings[0]))
+        people = None if needs_everyone(self._accepted or self.plan) else near_targets(self.plan, bindings)
+        return conclude(self.plan, self.read_tracks(people), bindings, choices, frames, self.slots)
 
-    def read_tracks(self) -> Tracks:
-        """Return the readings that the graph has."""
+    def read_tracks(self, people: Sequence[str] | None = None) -> Tracks:
+        """Return the readings that the graph has.
+
+        Args:
+            people: Entities whose readings are returned, without their relations. None for all.
+
+        Returns:
+            The tracks.
+        """
         self._settle()
-        names = ("sightings", "attributes", "relations", "looks")
-        sightings, attributes, relations, looks = (self._rows_of(name) for name in names)
-        return assemble_tracks(sightings, attributes, relations, looks, self.tracks.repeats)
+        values = {"everyone": people is None, "people": list(people or ("",))}
+        sightings, attributes = (self._rows_of(name, values) for name in ("sightings", "attributes"))
+        relations = self._rows_of("relations") if people is None else []
+        return assemble_tracks(sightings, attributes, relations, self._rows_of("looks"), self.tracks.repeats)
 
     def statements(self, people: Set[str]) -> list[dict[str, Any]]:
         """Return the statements that gave the bindings: name, parameters, and the rows about the given people."""
@@ -410,8 +417,8 @@ class WorldEpisode:
     def _parameters(self) -> dict[str, Any]:
         return {"hash": episode_hash(self.key), "step": ALWAYS}
 
-    def _rows_of(self, name: str) -> list[dict[str, Any]]:
-        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), self._parameters())
+    def _rows_of(self, name: str, values: Mapping[str, Any] = MappingProxyType({})) -> list[dict[str, Any]]:
+        return self._graph.read(read_statement(f"reads/world/{name}.cypher"), {**self._parameters(), **values})
 
     def _read_evidence(self) -> Evidence:
         self._settle()

@@ -3,6 +3,7 @@
 import itertools
 import random
 
+import msgspec
 import pytest
 from world_calls import (
     CHOICES,
@@ -56,6 +57,27 @@ def supports(graph, **values):
     text, values = find_query("cypher", "belief_plan", {"run": "r", "question": question(0).question_id, **values})
     rows = graph.graph.query(text, values).to_pylist()
     return {(row["part"], row["entity"], row["other_entity"]): row["support"] for row in rows}
+
+
+READS = (
+    AnswerSpec("multiple_choice", "presence", "b", ("t0", "t1")),
+    AnswerSpec("multiple_choice", "distance_change", "b", ("t0", "t1")),
+    AnswerSpec("multiple_choice", "attribute", "b", ("t1",), attribute="group_size"),
+    AnswerSpec("number", "count", "b", ("t0", "t1"), relation="conversation"),
+)
+
+
+@pytest.mark.parametrize("answer", READS, ids=lambda answer: answer.read)
+def test_the_answer_needs_only_the_readings_that_are_asked_for(graph, answer):
+    random_ = random.Random(1)
+    plan = msgspec.structs.replace(PLAN, answer=answer)
+    episode, answers = begin(graph, plan=plan), set()
+    for step in range(1, 7):
+        play(episode, random_, step)
+        expected = conclude(plan, episode.tracks, rank(plan, episode.tracks), ("1", "2", "3", "4"), FRAMES)
+        assert episode.conclude(("1", "2", "3", "4"), FRAMES) == expected
+        answers.add(expected)
+    assert len(answers) > 1
 
 
 @pytest.mark.parametrize("seed", range(8))
