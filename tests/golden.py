@@ -17,10 +17,10 @@ The recorded input is in `fixtures/`: `golden_root.tar.xz` is a sample root with
 holds the replies, `golden_monolithic-*.jsonl` the predictions of the tour. Pictures are made here: each shows its frame
 number and its columns in grey, so that a request's pictures can be reduced to (frame, left column, width, height).
 
-`python tests/golden.py replies PICTURES` records the replies again, if prompts change on purpose. The replies come from
-the simulated model that reads marks. PICTURES is the folder `images/image_stitched` that commit a85789c writes with
-`jrdb-avr sample ROOT --sequences 1 --frames 450 --people 18`. If question ids change, `golden_monolithic-*.jsonl` are
-made from a store of that ROOT by the evaluation at the start of `docs/tour.md` and `export --jsonl`.
+`python tests/golden.py replies` records the replies again, if prompts change on purpose. The replies come from the
+simulated model, which gets the frame and angle that the pictures show. If question ids change,
+`golden_monolithic-*.jsonl` are made from a store of the root by the evaluation at the start of `docs/tour.md` and
+`export --jsonl`.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ METHODS = (  # each entry: a method, and the options of the method
     "agent-passive-no-world",
     "agent --advice off",
 )
-NOISE = ("wrong_attribute=0.1", "wrong_box=0.1", "malformed=0.1", "seed=3")
-"""Knobs of the simulated model in half of the recorded runs, so that replies have to be repaired."""
+NOISE = ("wrong=0.1", "wrong_box=0.1", "malformed=0.1", "seed=3")
+"""Errors of the simulated model in half of the recorded runs, so that replies have to be repaired."""
 
 
 def jrdb_avr(*arguments: object, may_fail: bool = False) -> str:
@@ -197,17 +197,18 @@ def read_picture(jpeg: bytes) -> tuple[int, int, int, int] | None:
 
 def without_pictures(body: bytes) -> str:
     """Return a request as JSON with each picture reduced to what `read_picture` returns."""
-    return json.dumps(replace_pictures(body, lambda jpeg: read_picture(jpeg) or "drawn"))
-
-
-def replace_pictures(body: bytes, replace: Callable[[bytes], object]) -> dict[str, object]:
-    """Return a request, its keys sorted, with each picture's address replaced by what a function makes of its bytes."""
     request = json.loads(body)
+    for part, jpeg in pictures_of(request):
+        part["image_url"]["url"] = read_picture(jpeg) or "drawn"
+    return json.dumps(dict(sorted(request.items())))
+
+
+def pictures_of(request: dict[str, object]) -> Iterator[tuple[dict[str, object], bytes]]:
+    """Yield the parts of a request that are pictures, and the bytes of each picture."""
     for message in request["messages"]:
         for part in message["content"] if isinstance(message["content"], list) else ():
             if part["type"] == "image_url":
-                part["image_url"]["url"] = replace(base64.b64decode(part["image_url"]["url"].partition(",")[2]))
-    return dict(sorted(request.items()))
+                yield part, base64.b64decode(part["image_url"]["url"].partition(",")[2])
 
 
 # -- prompts ----------------------------------------------------------------------------------------------------------
@@ -299,43 +300,45 @@ def hash_prompts(folder: Path) -> dict[str, object]:
     return {"prompts": prompts, "predictions": predictions}
 
 
-def record_replies(pictures: Path) -> None:
-    """Write `REPLIES`: what the simulated model replies if it gets the marked panoramas in place of the grey ones."""
-    from jrdb_avr.agent.simulated.knobs import PERFECT, parse
+def with_references(body: bytes, sequence: str) -> dict[str, object]:
+    """Return a request in which each picture says what it shows, as in a run that is declared simulated."""
+    request = json.loads(body)
+    for part, jpeg in pictures_of(request):
+        if (shown := read_picture(jpeg)) is not None:
+            frame, left, width, _ = shown
+            angle = None if width == WIDTH else (left + width / 2) * 360 / WIDTH % 360
+            part["jrdb_avr"] = {"sequence": sequence, "frame": frame, "angle": angle}
+    return request
+
+
+def record_replies() -> None:
+    """Write `REPLIES`: what the simulated model replies to the requests of all methods."""
+    from jrdb_avr.agent.simulated.profiles import PERFECT, parse_errors
     from jrdb_avr.agent.simulated.server import Server
+    from jrdb_avr.agent.simulated.sight import Sight
+    from jrdb_avr.queries.store import Store
 
     replies: dict[str, object] = {}
-    sequence = next(pictures.iterdir())
-
-    @functools.cache
-    def marked(frame: int) -> np.ndarray:
-        return cv2.imread(f"{sequence}/{frame:06d}.jpg")
-
-    def redraw(jpeg: bytes) -> str:
-        seen = read_picture(jpeg)
-        if seen is not None:
-            frame, left, width, _ = seen
-            file = (sequence / f"{frame:06d}.jpg").read_bytes()
-            crop = np.take(marked(frame), range(left, left + width), axis=1, mode="wrap")
-            jpeg = file if width == WIDTH else cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
-        return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
-
-    def simulated(name: str) -> Answer:
-        server = Server(knobs=parse(NOISE) if name.endswith("noisy") else PERFECT)
-        server.server_close()
-
-        def answer(body: bytes) -> dict[str, object]:
-            request = replace_pictures(body, redraw)
-            message = server.reply(json.dumps(request).encode())["choices"][0]["message"]
-            replies[sha256([name, without_pictures(body)])] = message
-            return message
-
-        return answer
-
     with tempfile.TemporaryDirectory() as folder:
+        store = make_store(Path(folder))
+        sight = Sight(Store(store))
+        (sequence,) = Store(store).manifest().sequences
+
+        def simulated(name: str) -> Answer:
+            server = Server(sight, parse_errors(NOISE) if name.endswith("noisy") else PERFECT)
+            server.server_close()
+
+            def answer(body: bytes) -> dict[str, object]:
+                request = with_references(body, sequence)
+                message = server.reply(json.dumps(request).encode())["choices"][0]["message"]
+                replies[sha256([name, without_pictures(body)])] = message
+                return message
+
+            return answer
+
         kept = {
             sha256([name, request]): replies[sha256([name, request])]
-            for name, _, requests in play(make_store(Path(folder)), simulated)
+            for name, _, requests in play(store, simulated)
             for request in requests
         }
     with lzma.open(REPLIES, "wt") as lines:
@@ -404,13 +407,11 @@ def changed_hashes(part: str) -> list[str]:
 
 def main(command: str = "", *names: str) -> int:
     """Check or record the parts, and return the exit code."""
-    if command == "replies" and len(names) == 1:
-        record_replies(Path(names[0]))
+    if command == "replies" and not names:
+        record_replies()
         return 0
     if command not in ("check", "record") or not set(names) <= set(PARTS):
-        print(
-            f"usage: golden.py check|record [{' | '.join(PARTS)}]\n       golden.py replies PICTURES", file=sys.stderr
-        )
+        print(f"usage: golden.py check|record [{' | '.join(PARTS)}]\n       golden.py replies", file=sys.stderr)
         return 2
     differing = 0
     for part in names or PARTS:

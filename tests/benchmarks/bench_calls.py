@@ -4,8 +4,7 @@ A server in another process answers at once; 64 questions are in flight, each ma
 Printed: wall time per call against the bar of 8 ms + 8 ms per megabyte of request. Crops come from one array in memory,
 so no panorama is decoded; making each crop a JPEG, writing requests, reading replies, the cache and the journal count.
 
-ReAct makes a look a turn. The agent makes a look and `WRITES` writes a turn into a world model on disk that holds
-20,000 entities of older runs, and has its graph shown and its plan solved in every turn.
+ReAct makes a look in each turn. `bench_world.py` measures the world model of the agent.
 """
 
 import argparse
@@ -13,25 +12,20 @@ import asyncio
 import contextlib
 import json
 import multiprocessing
-import re
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from older_worlds import older_record
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.journal import Journal
-from jrdb_avr.engine.run.methods import make_method, open_world
-from jrdb_avr.queries.beliefs.graph import open_graph
-from jrdb_avr.queries.beliefs.record import merge_world
+from jrdb_avr.engine.run.methods import make_method
 from jrdb_avr.schema.method import Observation, Question, SequenceInfo
 from jrdb_avr.schema.panorama import FOV_DEG, crop_left
-from jrdb_avr.schema.tables import RUNS
 
 IN_FLIGHT = 64
 ROUNDS = 8
@@ -70,38 +64,6 @@ def react(data, looks):
     return {"action": "answer", "answer": 1, "evidence_bboxes": box}
 
 
-def agent(data, looks):
-    """A plan, then looks with writes about what was seen before, then an answer that the first time is refused."""
-    if b"Your plan, as one JSON object:" in data:
-        return PLAN_JSON
-    made = int(re.search(rb"Looks made: (\d+)", data)[1])
-    look = {"tool": "observe", "frame_id": f"{made * 15:06d}", "angle_deg": 180}
-    if made == 0:
-        return {"calls": [look]}
-    if made >= looks:
-        return {"calls": [{"tool": "final_answer", "answer": 1, "entity": "p1"}]}
-    seen = f"o{made}"
-    calls = [look]
-    for name in ("p1", "p2"):
-        at = {"observation": seen, "box": [1, 2, 300, 400]}
-        calls.append({"tool": "add_entity", "id": name, "kind": "person", **at})
-        said = {"entity": name, "name": "action", "value": "sitting", "observation": seen}
-        calls.append({"tool": "add_attribute", **said})
-    talks = {"source": "p1", "name": "conversation", "target": "p2", "observation": seen}
-    return {"calls": [*calls, {"tool": "add_relation", **talks}]}
-
-
-WRITES = 5
-PLAN_JSON = {
-    "root": "a",
-    "target": "a",
-    "times": {"t0": {"frame": 0}, "t1": {"frame": 150}},
-    "nodes": [{"id": "a", "conditions": [{"action": "sitting", "at": "t0"}]}],
-    "edges": [],
-    "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t1"},
-}
-
-
 def serve(looks, port, sizes, reply):
     async def run():
         loop = asyncio.get_running_loop()
@@ -119,11 +81,11 @@ def crop_like_array():
     return np.clip(smooth + rng.normal(0, 7, (480, 480, 3)), 0, 255).astype(np.uint8)
 
 
-def measure(looks, name, questions, older):
+def measure(looks, questions):
     """Calls, megabytes per request, milliseconds of wall and of processor per call."""
     context = multiprocessing.get_context("spawn")
     port, sizes = context.Value("i", 0), context.Value("q", 0)
-    server = context.Process(target=serve, args=(looks, port, sizes, REPLIES[name]), daemon=True)
+    server = context.Process(target=serve, args=(looks, port, sizes, react), daemon=True)
     server.start()
     while not port.value:
         time.sleep(0.01)
@@ -142,12 +104,7 @@ def measure(looks, name, questions, older):
     asked = [Question(f"{i:016x}", "s", f"Question {i}?", *shape) for i in range(questions)]
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls.jsonl")
-        world = None
-        if name == "agent":
-            with open_graph(Path(folder) / "world.kuzu") as graph:
-                merge_world(graph, "older", older_record(older))
-            world = stack.enter_context(open_world(Path(folder) / "world.kuzu", "r", RUNS["world"].empty_table()))
-        method = make_method(name, client, CONTRACT, world, "model")
+        method = make_method("react", client, CONTRACT)
         sizes.value = 0
         journal = stack.enter_context(
             Journal(Path(folder) / "journal", {own.question_id: own.sequence for own in asked})
@@ -158,28 +115,21 @@ def measure(looks, name, questions, older):
         entries = journal.finished.values()
         assert {entry.prediction["status"] for entry in entries} == {"answered"}
         calls = sum(entry.prediction["n_model_calls"] for entry in entries)
-        writes = sum(row["accepted"] for entry in entries for row in entry.world)
-        assert writes >= (looks * WRITES - WRITES) * questions if world else not writes
     server.terminate()
     return calls, sizes.value / calls / 1e6, seconds / calls * 1000, cpu / calls * 1000
 
 
-REPLIES = {"react": react, "agent": agent}
-OLDER = 20_000
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--smallest", action="store_true", help="8 questions of each method, without a bar")
+    parser.add_argument("--smallest", action="store_true", help="8 questions, without a bar")
     smallest = parser.parse_args().smallest
-    rows = (("react", 1), ("react", 4), ("react", 12), ("react", 24), ("agent", 4), ("agent", 12))
-    print("method   looks   calls   MB/request   ms/call   CPU ms/call    bar   share of the bar")
+    print("looks   calls   MB/request   ms/call   CPU ms/call    bar   share of the bar")
     worst = 0.0
-    for name, looks in rows[1::3] if smallest else rows:
-        calls, megabytes, ms, cpu = measure(looks, name, *((8, 20) if smallest else (ROUNDS * IN_FLIGHT, OLDER)))
+    for looks in (4,) if smallest else (1, 4, 12, 24):
+        calls, megabytes, ms, cpu = measure(looks, 8 if smallest else ROUNDS * IN_FLIGHT)
         bar = 8 + 8 * megabytes
         worst = max(worst, ms / bar)
-        print(f"{name:8} {looks:5} {calls:7} {megabytes:12.3f} {ms:9.2f} {cpu:13.2f} {bar:6.1f} {ms / bar:12.2f}")
+        print(f"{looks:5} {calls:7} {megabytes:12.3f} {ms:9.2f} {cpu:13.2f} {bar:6.1f} {ms / bar:12.2f}")
     sys.exit(worst > 1 and not smallest)
 
 
