@@ -44,7 +44,7 @@ def write_episode(store):
     """Write into the graph as a run does."""
     with Graph.open(store.graph_path) as graph:
         make_world_tables(graph)
-        graph.execute("CREATE (:Episode {id: 'r/q', run: 'r', question: 'q', sequence: 's', plan: ''})")
+        graph.execute("CREATE (:Episode {id: 'r/q', run: 'r', question: 'q', sequence: 's'})")
 
 
 def test_a_loaded_store_has_no_fault(store):

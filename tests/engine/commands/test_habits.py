@@ -62,7 +62,7 @@ def test_alone_it_says_what_comes_next(here, monkeypatch):
     ("arguments", "near"),
     [
         (("evalute",), "evaluate"),
-        (("world", "mereg"), "merge"),
+        (("runs", "mereg"), "merge"),
         (("report", "--table", "famly"), "family"),
         (("sql", "question_count"), "question_counts"),
         (("cypher", "MATCH (p:Persn) RETURN p"), "Person"),

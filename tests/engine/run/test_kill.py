@@ -18,9 +18,9 @@ from hashlib import sha256
 
 import pyarrow.parquet as pq
 import pytest
-from belief_runs import PLAN, world_dump
 from fake_server import FakeServer, images, sound, texts
 from painted import write_store
+from world_calls import PLAN, tables_of
 
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import replay
@@ -138,7 +138,7 @@ def kept(store):
 
 def in_graph(store):
     with Graph.open(store.graph_path, read_only=True) as graph:
-        return world_dump(graph)
+        return tables_of(graph)
 
 
 def new_store(path, asked_world):
