@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 BUDGETS = {
-    "schema": 2950,
+    "schema": 2800,
     "loaders": 4900,
-    "queries": 2700,
+    "queries": 2400,
     "engine/generate": 2300,
     "engine/rederive": 1200,
     "engine/validate": 600,
@@ -31,19 +31,13 @@ BUDGETS = {
     "agent/model": 1150,
     "agent/methods": 460,
     "agent/simulated": 950,
-    "agent": 3700,
+    "agent": 2750,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 28_060
+TOTAL = 25_800
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
-LANGUAGE_LATER = (
-    "agent/reference/",
-    "queries/beliefs/",
-    "schema/plan.py",
-)
-"""Paths that later changes rewrite: until then, their language does not count, nor do ruff's rules of docstrings."""
 PATTERNS = {
     r"\bwhere\b": 3.0,
     r"\b(whom|whoever|whomever|whose)\b": 0.1,
@@ -163,19 +157,14 @@ def rooms() -> Counter:
     return found
 
 
-def due() -> list[Module]:
-    """Return the modules whose language counts already."""
-    return [module for module in modules() if not module.name.startswith(LANGUAGE_LATER)]
-
-
 def hits() -> dict[str, float]:
     """Return hits per 1,000 words: of each pattern in all modules, and of each room for all patterns."""
     total = Counter()
-    for module in due():
+    for module in modules():
         total.update(module.hits)
-    found = {pattern: 1000 * total[pattern] / sum(module.words for module in due()) for pattern in PATTERNS}
+    found = {pattern: 1000 * total[pattern] / sum(module.words for module in modules()) for pattern in PATTERNS}
     for room in rooms():
-        inside = [module for module in due() if module.room == room]
+        inside = [module for module in modules() if module.room == room]
         words = sum(module.words for module in inside)
         # A rate of a few hundred words says little.
         found[room] = 1000 * sum(module.hits.total() for module in inside) / words if words > 300 else 0.0
@@ -184,7 +173,7 @@ def hits() -> dict[str, float]:
 
 def weak_share() -> float:
     """Return the number of weak names per 10,000 identifiers."""
-    return 10_000 * sum(module.weak for module in due()) / sum(module.identifiers for module in due())
+    return 10_000 * sum(module.weak for module in modules()) / sum(module.identifiers for module in modules())
 
 
 def main() -> None:
