@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import os
 from collections import defaultdict
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from unittest import mock
 
+import msgspec
 import numpy as np
 import pyarrow.compute as pc
 
@@ -36,6 +38,8 @@ from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.queries.workers import map_sequences
+from jrdb_avr.schema.beliefs import Fact
+from jrdb_avr.schema.panorama import WIDTH, Box, iou
 
 PROFILES: Final = ("perfect", "independent", "lasting", "realistic")
 RIVALS: Final = ("react", "agent-no-world")
@@ -178,6 +182,36 @@ def measure(runs: Sequence[Run]) -> Measured:
     )
 
 
+def count_pairs(run: Run) -> tuple[int, int, int]:
+    """Count pairs of readings of a question: rightly one person, read as one entity, and truly one person.
+
+    A reading is of the labelled person with the largest overlap. Readings without an IoU of 0.5 do not count.
+    """
+    store = Store(run.store)
+    sequences = {row.question_id: row.sequence for row in read_question_rows(store)}
+    boxes: dict[tuple[str, int], dict[int, Box]] = defaultdict(dict)
+    for sequence in {sequences[question] for question in run.questions}:
+        for row in store.interval("sightings", sequence, ["frame", "track", "x", "y", "w", "h"]).to_pylist():
+            boxes[sequence, row["frame"]][row["track"]] = Box(row["x"], row["y"], row["w"], row["h"])
+    readings: dict[str, list[tuple[str, int]]] = defaultdict(list)
+    for row in read_table(store.run_path(run.run_id) / "world.parquet").to_pylist():
+        fact = msgspec.json.decode(row["fact"], type=Fact) if row["fact"] else Fact()
+        for sighting in fact.sighted:
+            people = boxes.get((sequences[row["question_id"]], sighting.frame), {})
+            shares = {track: iou(_beside(sighting.box, box), box) for track, box in people.items()}
+            track = max(shares, key=shares.__getitem__, default=None)
+            if track is not None and shares[track] >= 0.5:
+                readings[row["question_id"]].append((sighting.source, track))
+    pairs = [pair for found in readings.values() for pair in itertools.combinations(found, 2)]
+    one = [(first[0] == second[0], first[1] == second[1]) for first, second in pairs]
+    return sum(a and b for a, b in one), sum(a for a, _ in one), sum(b for _, b in one)
+
+
+def _beside(box: Box, other: Box) -> Box:
+    """Return a box moved by whole panoramas to be nearest to another box."""
+    return box._replace(x=box.x - WIDTH * round((box.x - other.x) / WIDTH))
+
+
 def compare(first: Measured, second: Measured) -> tuple[float, float, float]:
     """Return the difference of combined in points, first minus second, with its interval over whole sequences."""
     clusters: dict[str, list[float]] = defaultdict(list)
@@ -256,6 +290,10 @@ def main() -> None:
     for done, (index, _) in enumerate(map_sequences(make_run, due, given.workers, lambda run: len(run.questions)), 1):
         print(f"{done} of {len(due)}: {due[index].store.name} {due[index].run_id}", flush=True)
     results = {case: measure([run for run in runs if run.case == case]) for case in cases}
+    for profile in profiles:
+        agents = [run for run in runs if run.case == Case(profile, "agent")]
+        right, together, true = (sum(counts) for counts in zip(*map(count_pairs, agents), strict=True))
+        print(f"{profile}: F1 of association over pairs of readings {2 * right / max(together + true, 1):.3f}")
     print("\nSynthetic: the simulated model. Scores in percent; calls, looks and prompt tokens per question.")
     print_figures(results)
     print("\nDifferences of combined in points, with 95 % intervals over sequences.")
