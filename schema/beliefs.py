@@ -50,7 +50,7 @@ def free_value(text: str) -> str:
 Origin = Literal["model", "relation", "derived"]
 """Origin of an edge.
 
-model: a model read it from a picture. relation: affirmed relations say it of both people. derived: code computed it
+model: a model read it from a picture. relation: affirmed relations imply it for both. derived: code computed it
 from readings.
 """
 

@@ -56,7 +56,7 @@ one posture of the person. Such postures are confused easily, also by annotators
 """
 
 _OFTEN: Final = 100
-"""Minimum count of changes between two postures of which neither is ever certain."""
+"""Minimum count of changes for which readings of both postures are never certain."""
 
 _WEAKEST: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
 
@@ -96,7 +96,7 @@ def conclude(
     frames: Sequence[int],
     slots: Callable[[RankedHypothesis], Sequence[SlotSupport]] | None = None,
 ) -> Conclusion | None:
-    """Return the answer about the likeliest target, or about a nearly as likely one if only that one has an answer.
+    """Return the answer about the first of `near_targets` that has one, else a guess about the likeliest target.
 
     Args:
         plan: The plan.
@@ -179,7 +179,7 @@ def is_doubted(label: str) -> bool:
 
 
 def _is_neither(answer: Answer, choices: Sequence[str]) -> bool:
-    """Return whether the answer says that a person was seen at neither time: misses have the same effect."""
+    """Return whether the answer is "neither time", which missed people give too."""
     return isinstance(answer, Choice) and answer.choice == choice_of(PRESENCE_ANSWERS[3], choices)
 
 

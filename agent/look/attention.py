@@ -89,10 +89,10 @@ _NEARBY: Final = 24
 """Number of frames for which a person stays near the last place."""
 
 _STEP: Final = round(2 * FPS)
-"""Minimum step in frames with which a person is followed, because events of questions last as long."""
+"""Minimum step in frames when following a person: events of questions last at least this long."""
 
 _SHORTEST: Final = round(1.2 * FPS)
-"""Minimum time in frames between two looks in which an event may be missed."""
+"""Minimum gap in frames between two looks that may hide an event."""
 
 _CLOSING: Final = 4
 """Number of looks that are kept to narrow a bracket."""
@@ -203,7 +203,7 @@ class _Attention:
     # -- the people of the plan -----------------------------------------------------------------------------------
 
     def identify(self) -> Iterator[NextLook]:
-        """Yield looks at what no look shows, at the frames at which the plan describes a person."""
+        """Yield looks at unseen arcs, in the frames for which the plan describes a person."""
         for node in self.plan.nodes:
             axes = [ROBOT_SECTORS[str(part.value)] for part in node.conditions if part.attribute == "sector"]
             for frame in map(self.legal, frames_of(self.plan, node.id)):
@@ -266,7 +266,7 @@ class _Attention:
             yield from self._views(frame, {entity: gain for (entity, at), gain in bits.items() if at == frame})
 
     def _views(self, frame: int, bits: Mapping[str, float]) -> Iterator[NextLook]:
-        """Yield looks at people who are worth these bits. One look may show several of them."""
+        """Yield looks at people, with the bits of each. One look may show several people."""
         angles = {}
         for entity, gain in bits.items():
             if not self.tracks.readings_at(entity, frame):
@@ -343,7 +343,7 @@ class _Attention:
                 yield NextLook(frame, angle, "follow", 0.5 - off / 1000, f"people beside {entity} are counted")
 
     def _bracket(self, entity: str, event: Bracket) -> Iterator[NextLook]:
-        """Yield a look that steps on until the change was passed, or that halves the bracket."""
+        """Yield looks beyond an open bracket, or one inside a bracket that is too long."""
         low, high = event.low, event.high
         if high is None:
             yield from self._step(entity, event, self.frames[-1])

@@ -115,7 +115,7 @@ def group_changes(plan: Plan, tracks: Tracks, people: Mapping[str, str]) -> dict
 
 
 def group_change(states: Mapping[int, bool], after: int, expected: bool) -> Bracket:
-    """Return the bracket of the first change to `expected` from the opposite state, as `change` does from any state."""
+    """Return the bracket of the first change to `expected`, as `change`, but only after the opposite state is known."""
     opposite = min((frame for frame, state in states.items() if frame >= after and state is not expected), default=None)
     return Bracket(after, None, after) if opposite is None else change(states, opposite, expected)._replace(after=after)
 
@@ -217,7 +217,7 @@ def _known_states(tracks: Tracks, state: Callable[[int], bool | None]) -> dict[i
 
 
 def _state_of(plan: Plan, tracks: Tracks, entity: str, name: str, before: int) -> Callable[[int], bool | None]:
-    """Return the function that says whether the state that an event starts or ends is present at a frame."""
+    """Return the function from a frame to the state that an event changes: True, False or None (unknown)."""
     time = plan.times[name]
     if time.event in ("leaves", "returns"):
         return lambda frame: presence(tracks, entity, frame)

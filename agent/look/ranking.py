@@ -23,7 +23,7 @@ BEAM: Final = 32
 """Maximum number of bindings that are kept after each node."""
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
-"""Prior probability of a condition of a person (1), and of an edge of a pair (2)."""
+"""Prior probability of a part by its number of nodes: 1 (condition) or 2 (edge)."""
 
 _RARELY: Final = 0.03
 """Prior probability of one of the many actions, objects or interactions."""
@@ -49,7 +49,7 @@ class PlanPart(NamedTuple):
         return _RARELY if rare else _HOLDS[len(self.nodes)]
 
     def support(self, tracks: Tracks, people: Sequence[str]) -> Support:
-        """Return what readings say of the part if the nodes are these people."""
+        """Return the support of the part if the nodes are these people."""
         if len(people) == 2:
             return tracks.relation(people[0], self.name, people[1], self.frame or 0)
         return tracks.statement(people[0], self.name, self.value, self.frame)
@@ -197,7 +197,7 @@ def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]
 
 
 def _with_each(order: Sequence[tuple[float, dict[str, str]]], node: str) -> list[tuple[float, dict[str, str]]]:
-    """Return the best bindings of a sorted list, and the best binding of each entity that may be the node."""
+    """Return the first `BEAM` bindings of a sorted list, and the first one of each entity of the node."""
     first = {bound[node]: index for index, (_, bound) in reversed([*enumerate(order)])}
     return [binding for index, binding in enumerate(order) if index < BEAM or first[binding[1][node]] == index]
 

@@ -33,7 +33,7 @@ MOST_PEOPLE: Final = 10
 """Maximum number of people in one call."""
 
 SAME_PLACE: Final = 0.95
-"""Minimum IoU of two boxes in one call that are the same box."""
+"""Minimum IoU at which two boxes in one call are one box."""
 
 CANNOT_TELL: Final = "cannot tell"
 _LONGEST_WORDS: Final = 40
@@ -97,7 +97,7 @@ class Field(NamedTuple):
 
 
 def perceivable(plan: Plan, changes: Mapping[str, int] = MappingProxyType({})) -> Plan:
-    """Return a plan that pictures can be read for: of people alone, and at stated frames.
+    """Return the plan in the form that pictures can show: people only, at stated frames.
 
     A relation to a thing becomes a condition, and an attribute that is read of a thing becomes the person's. The
     identity of a thing, its place, and free relations with a name in `ATTRIBUTES` are left out. A moment becomes the

@@ -35,7 +35,7 @@ EDGE_DEG: Final = 5.0
 """Minimum degrees between a person and the edge of a look that surely shows the person."""
 
 FIRST: Final = frozenset(label for label, row in RELATIONS.items() if row.kind == "first")
-"""Relations that lead from each person to one person."""
+"""Relations with at most one target for each person."""
 
 DERIVED: Final = FIRST | {label for label, row in RELATIONS.items() if row.kind == "window"}
 """Relations that boxes decide."""

@@ -34,7 +34,7 @@ class Limits:
     """Limits of a question.
 
     looks: maximum number of looks. turns: maximum number of turns. refusals: number of turns in sequence without an
-    accepted call that ends the question. repairs: maximum number of tries after a refused plan. panoramas: number of
+    accepted call that end the question. repairs: maximum number of tries after a refused plan. panoramas: number of
     panoramas of a variant that cannot look.
     """
 

@@ -242,8 +242,7 @@ def vocabulary(question: str) -> str:
 
     Returns:
         One line per kind of label. If the question has other phrases for a label, they follow the label:
-        `bending = bending down`. Of labels of the longest kinds, only those with
-        a word of the question are listed.
+        `bending = bending down`. Of the longest kinds, only labels with a word of the question are listed.
     """
     near = functools.partial(_named, question)
     lines = {
@@ -262,7 +261,7 @@ def vocabulary(question: str) -> str:
 
 
 def _named(question: str, labels: Collection[str], phrases: Callable[[str], str]) -> list[str]:
-    """Return the labels that begin a word as the question does, by the first three letters."""
+    """Return the labels that share the first three letters of a word with the question."""
     stems = _stems(question)
     return [label for label in labels if stems & _stems(f"{label} {phrases(label)}")]
 
@@ -276,7 +275,7 @@ def _stems(text: str) -> set[str]:
 
 
 def _relations() -> str:
-    """List the relations. Interactions are not listed again, and each kind has an example with many labels."""
+    """List the relations, without the interactions. A kind with many labels is shown by an example."""
     rows = [RELATIONS[label] for label in QUESTION_RELATIONS]
     window = next(row.label for row in rows if row.kind == "window")
     near = dict.fromkeys(row.distance for row in rows if row.kind == "person")

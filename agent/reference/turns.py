@@ -203,7 +203,7 @@ def named_view(name: str, observation: Observation | Panorama) -> NamedView:
     else:
         kind, image = "Picture", on_crop(observation)
     metadata = metadata_of(observation)
-    # Each turn costs tokens, so that the line has only what a call can use.
+    # Each turn costs tokens, so the line has only what a call can use.
     line = {key: round(metadata[key], 1) if key == "angle_deg" else metadata[key] for key in _STATED if key in metadata}
     return NamedView(name, kind, image, compact_json(line), picture_of(observation))
 

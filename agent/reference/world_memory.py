@@ -284,7 +284,7 @@ class WorldMemory:
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
 
     def due_looks(self, left: int) -> Sequence[NextLook]:
-        """Return the best look. If a second look searches the same frame whatever the first look shows, return both.
+        """Return the best look, and the next one too if it searches the same frame, whatever the first one shows.
 
         Args:
             left: Number of looks that are left.

@@ -175,7 +175,7 @@ def _agent(request: Request) -> PlayedReply:
 
 
 def _plan(request: Request) -> PlayedReply:
-    """PlayedReply the question's plan. A refused plan is repeated, because the words have no other reading."""
+    """Reply the question's plan. Repeat a refused plan, because the words have no other reading."""
     return dict(msgspec.to_builtins(request.plan))
 
 

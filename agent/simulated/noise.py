@@ -76,7 +76,7 @@ class Draws:
         return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") / _HASHED
 
     def happens(self, rate: float, *names: object) -> bool:
-        """Return True for this share of all names."""
+        """Return whether the draw is below `rate`."""
         return rate > 0 and self.share(*names) < rate
 
     def pick(self, options: Sequence[_T], *names: object) -> _T:

@@ -99,7 +99,7 @@ class Request:
 
 
 PlayedReply = Mapping[str, Any]
-"""PlayedReply to a stage."""
+"""Reply to a stage."""
 
 Play = Callable[[Request], PlayedReply]
 """Player of one stage: a pure function of the request. It raises DecodeError if the request lacks a line."""

@@ -209,9 +209,14 @@ def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
         return msgspec.json.encode(_person_reply(text, parts, see)).decode()
     if match := _OBJECT.search(text):
         return match[1]
-    if form is not None and form["type"] == "json_schema":
-        properties = form["json_schema"]["schema"].get("properties", {})
-        return msgspec.json.encode({name: value.get("enum", [None])[0] for name, value in properties.items()}).decode()
+    try:
+        properties = form["json_schema"]["schema"].get("properties", {}) if form else {}
+        if properties:
+            return msgspec.json.encode(
+                {name: part.get("enum", [None])[0] for name, part in properties.items()}
+            ).decode()
+    except (KeyError, TypeError, IndexError, AttributeError):
+        raise DecodeError("response_format has no readable schema") from None
     match = _WORD.search(text)
     return match[1] if match else '{"ok":true}'
 

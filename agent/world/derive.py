@@ -152,7 +152,7 @@ def read_relations(before: Tracks, after: Tracks, people: Sequence[tuple[str, Pe
 
 
 def shared_interactions(before: Tracks, after: Tracks, relations: Sequence[Relation]) -> Iterator[HasValue]:
-    """Yield the interactions that affirmed relations say of both people.
+    """Yield the interactions that affirmed relations imply for both.
 
     Args:
         before: Tracks before the relations.
@@ -177,7 +177,7 @@ Key = tuple[str, str, str]
 
 
 def derived_sums(slots: Sequence[Slot], tracks: Tracks) -> dict[Key, float]:
-    """Return the present evidence of each derived slot, without slots of model readings.
+    """Return the current evidence of each slot with the origin "derived".
 
     Args:
         slots: Slots of the plan.
@@ -187,8 +187,9 @@ def derived_sums(slots: Sequence[Slot], tracks: Tracks) -> dict[Key, float]:
         The log-odds by topic and entities.
     """
     sums: dict[Key, float] = {}
-    for slot in slots:
-        for entity in tracks.people if slot.row.origin == "derived" else ():
+    # Slots of one topic ask for the same evidence.
+    for slot in {slot.row.topic: slot for slot in slots if slot.row.origin == "derived"}.values():
+        for entity in tracks.people:
             if slot.row.kind == "presence":
                 sums[slot.row.topic, entity, ""] = absence_evidence(tracks, entity, slot.row.frame)
             elif slot.part is None:

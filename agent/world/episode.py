@@ -145,7 +145,7 @@ class WorldEpisode:
         self._write("plan", msgspec.json.decode(canonical(accepted)), step, fact)
 
     def _follow_events(self, look: LookRow, step: int) -> None:
-        """Ask for the facts at group events at the frames at which the likeliest people were read to change groups."""
+        """Move facts at group events to the frames at which the likeliest people changed groups, by the readings."""
         accepted = self._accepted
         if accepted is None or not any(time.is_group_event for time in accepted.times.values()):
             return
@@ -391,7 +391,7 @@ class WorldEpisode:
         """Return the readings that the graph has.
 
         Args:
-            people: Entities whose readings are returned, without their relations. None for all.
+            people: Entities. Their readings are returned, without relations. None for all.
 
         Returns:
             The tracks.
@@ -443,7 +443,8 @@ def _is_inside(box: Box, look: LookRow) -> bool:
 def _as_json(arguments: object) -> str:
     """Return arguments as JSON in ASCII. Arguments of a refused call may be any values that a model wrote."""
     try:
-        text = json.dumps(arguments, allow_nan=False)
+        raw = isinstance(arguments, msgspec.Raw)
+        text = bytes(arguments).decode() if raw else json.dumps(arguments, allow_nan=False)
     except (TypeError, ValueError, RecursionError):
         text = json.dumps(f"unreadable {type(arguments).__name__}")
     return text if len(text) <= LONGEST_ARGUMENTS else json.dumps(text[: LONGEST_ARGUMENTS // 2] + "...")

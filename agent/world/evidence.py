@@ -18,7 +18,7 @@ from jrdb_avr.schema.relations import SYMMETRIC
 from jrdb_avr.schema.repeats import Repeats
 
 _DIGITS: Final = 9
-"""Number of decimals of a sum of weights, because the engine adds them in any order."""
+"""Number of decimals to which sums of weights are rounded, because the engine adds in any order."""
 
 
 Rows = Sequence[Mapping[str, Any]]
@@ -37,19 +37,22 @@ class Evidence:
         repeats: Repeats,
     ) -> None:
         self._slots, self._repeats = slots, repeats
+        singles, pairs = (
+            [{**row, "weight": round(row["weight"], _DIGITS)} for row in rows] for rows in (singles, pairs)
+        )
         self.rows = {"slots": singles, "pairs": pairs}
         self._votes: dict[tuple[int, str, str], list[Vote]] = defaultdict(list)
         numbered = {slot.row.number: slot for slot in slots}
         # Rows of replaced slots are left out.
         singles, pairs = ([row for row in rows if row["slot"] in numbered] for rows in (singles, pairs))
         for row in singles:
-            self._votes[row["slot"], row["entity"], ""].append((row["frame"], round(row["weight"], _DIGITS)))
+            self._votes[row["slot"], row["entity"], ""].append((row["frame"], row["weight"]))
         for row in pairs:
             ends = row["source"], row["target"]
             slot = numbered[row["slot"]].row
             symmetric = slot.name in SYMMETRIC and slot.origin == "model"
             for source, target in (ends, ends[::-1]) if symmetric else (ends,):
-                self._votes[row["slot"], source, target].append((row["frame"], round(row["weight"], _DIGITS)))
+                self._votes[row["slot"], source, target].append((row["frame"], row["weight"]))
         self.parts = [slot for slot in slots if slot.part is not None]
         edges = edges_of(plan)
         entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}

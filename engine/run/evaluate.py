@@ -49,7 +49,7 @@ from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError
+from jrdb_avr.schema.errors import AvrWarning, InputError, QueryError, StoreError
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
@@ -302,13 +302,13 @@ def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextMan
 
 
 def _merge_world(run: Run) -> None:
-    """Merge the world models of a finished run into the store's graph. Issue a warning if the graph is in use."""
+    """Merge the world models of a finished run into the store's graph. Issue a warning if that is impossible."""
     store = run.store
     if not store.graph_path.exists():
         return
     try:
         with open_graph(store.graph_path) as graph:
             merge_world(graph, run.run_id, world_rows(run.run_id, run.finished))
-    except LockedError as error:
-        text = f"{store.graph_path} is in use by {error.holder}, so the graph lacks the world models of {run.run_id}"
+    except (StoreError, QueryError) as error:
+        text = f"the graph lacks the world models of {run.run_id} ({error})"
         warnings.warn(f"{text}: repeat the command with --resume to add them", AvrWarning, stacklevel=3)

@@ -377,7 +377,10 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
     def groups(table: str) -> Iterator[pa.Table]:
         for names in _packed(finished.by_sequence()):
-            group = run_table(run_id, table, map(finished.__getitem__, names))
+            entries = (finished[name] for name in names)
+            # A question that is asked again begins a new world model.
+            kept = (entry for entry in entries if table != "world" or not entry.failed)
+            group = run_table(run_id, table, kept)
             if group.num_rows:
                 yield group
 

@@ -38,10 +38,10 @@ Node = LookRow | EntityRow | SlotRow | HypothesisRow
 
 _NODES: Final = {"slots": ("Slot", "Asks"), "looks": ("Look", "Made"), "entities": ("Entity", "Holds"),
                  "hypotheses": ("Hypothesis", "Ranks")}  # fmt: skip
-"""Field of a fact with nodes: the table of the nodes and the table of the edges that lead to them."""
+"""Tables of nodes, and of the edges that lead to them, by the field of a fact."""
 
 _EDGES: Final = {"listed": "Listed", "sighted": "Sighted", "has": "Has", "related": "Related"}
-"""Field of a fact with edges: the table of the edges."""
+"""Tables of edges, by the field of a fact."""
 
 _HASHED: Final = ("Slot", "Look", "Entity")
 _COLUMN: Final = re.compile(r"\br\.(\w+)")

@@ -50,7 +50,8 @@ def random_call(rng, text):
 
 def observations_of(write):
     arguments = json.loads(write.arguments)
-    return arguments.get("observation") if isinstance(arguments, dict) else None
+    assert isinstance(arguments, dict), "a refused call keeps its arguments"
+    return arguments.get("observation")
 
 
 @pytest.mark.slow
