@@ -210,6 +210,15 @@ def test_calls_that_name_no_look_or_entity_change_nothing(graph):
     assert graph.graph.count_rows() == rows
 
 
+def test_a_refused_call_keeps_its_arguments(graph):
+    writes = []
+    episode = begin(graph, writes.append)
+    episode.refuse("add_people", msgspec.Raw(b'{"observation":"o9"}'), "not made", 1)
+    episode.answered(None, None, 2)
+    refused = next(write for write in writes if not write.accepted)
+    assert msgspec.json.decode(refused.arguments) == {"observation": "o9"}
+
+
 def three_people(random_, look, frame):
     for number, name in enumerate(("p1", "p2", "p3"), 1):
         labels = (ReadLabel("action", random_.choice(("walking", "standing"))),)

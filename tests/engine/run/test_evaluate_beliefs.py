@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
@@ -16,13 +17,14 @@ from world_calls import begin, tables_of
 from worlds import load_world
 
 from jrdb_avr.engine.cli import group
+from jrdb_avr.engine.run import evaluate as evaluation
 from jrdb_avr.engine.run.methods import open_world
 from jrdb_avr.engine.run.overview import remove_run
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import merge_world, read_record, replay
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.errors import AvrWarning, LockedError, StoreError
 
 
 def dump(path):
@@ -127,6 +129,13 @@ def test_a_killed_merge_leaves_the_run_whole(store, merged, step):
     done = run_program(KILLED_AT, step, store.path)
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert dump(store.graph_path) == merged
+
+
+def test_a_graph_that_cannot_take_the_world_models_costs_no_answers(store):
+    store.graph_path.write_bytes(b"no graph")
+    ended = SimpleNamespace(store=store, run_id="one", finished={})
+    with pytest.warns(AvrWarning, match="lacks the world models of one.*--resume"):
+        evaluation._merge_world(ended)
 
 
 def test_a_graph_in_use_is_refused_by_name(store):
