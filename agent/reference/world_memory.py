@@ -88,7 +88,6 @@ class WorldMemory:
     proposed: Answer | None = None
     final_refused: bool = False
     _bindings: tuple[RankedHypothesis, ...] | None = None
-    _conclusion: Conclusion | None = None
 
     @property
     def plan(self) -> Plan:
@@ -118,7 +117,7 @@ class WorldMemory:
         parts: list[Part] = [
             self.heading,
             *(views if self.fixed else []),
-            f"World: {compact_json(self._world())}",
+            f"World: {compact_json(self._world(looks))}",
             *([f"Looks: {compact_json([_look(look) for look in looks])}"] if self.advises else []),
             turn.result_lines(),
             *([] if self.fixed else views),
@@ -140,8 +139,8 @@ class WorldMemory:
         """
         return world_schema(self.attempt.task.question, self.fields, looks, self.advises)
 
-    def _world(self) -> dict[str, Any]:
-        """Return what the line `World` states."""
+    def _world(self, looks: Sequence[NextLook]) -> dict[str, Any]:
+        """Return what the line `World` states: also the supported answer, if no further look is advised."""
         bindings = self._likely()
         best = bindings[0] if bindings else None
         # A binding that is clearly ahead is shown alone, to save tokens.
@@ -151,7 +150,7 @@ class WorldMemory:
             "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
             "likely": likely,
             "open": [] if best is None else self._open(best),
-            "supported": self._supported(),
+            "supported": None if looks and self.advises else self._supported(),
         }
         return world if self.advises or self.fixed else world | {"looks": self._made()}
 
@@ -180,7 +179,7 @@ class WorldMemory:
 
     def _supported(self) -> dict[str, Any] | None:
         """Return the answer that the graph supports, in the form of a final answer."""
-        conclusion = self._concluded()
+        conclusion = self._conclude()
         if conclusion is None:
             return None
         return {"answer": written_answer(conclusion.answer), "entity": conclusion.entity, "verdict": conclusion.verdict}
@@ -224,7 +223,7 @@ class WorldMemory:
             self.world.add_attribute(*read_attribute(call.arguments, views, self.fields), step)
         else:
             self.world.add_relation(*read_relation(call.arguments, views, self.fields), step)
-        self._bindings = self._conclusion = None
+        self._bindings = None
         return result
 
     def _add_people(
@@ -257,16 +256,14 @@ class WorldMemory:
     def _likely(self) -> tuple[RankedHypothesis, ...]:
         if self._bindings is None:
             self._bindings = self.world.bindings()
-            task = self.attempt.task
-            self._conclusion = self.world.conclude(task.question.choices, task.sequence.frames)
         return self._bindings
 
-    def _concluded(self, anew: bool = False) -> Conclusion | None:
-        """Return what the graph supports. `anew` reads the graph again, because only the graph decides an answer."""
-        if anew:
-            self._bindings = None
-        self._likely()
-        return self._conclusion
+    def _conclude(self) -> Conclusion | None:
+        """Return what the graph supports. The graph is read again, because only the graph decides an answer."""
+        task = self.attempt.task
+        conclusion = self.world.conclude(task.question.choices, task.sequence.frames)
+        self._bindings = self.world.bindings()
+        return conclusion
 
     def advised_looks(self, left: int) -> Sequence[NextLook]:
         """Return the looks that the graph expects to learn most from.
@@ -321,7 +318,7 @@ class WorldMemory:
         self.proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
             raise DecodeError("entity must be the id of the plan's target")
-        conclusion = self._concluded(anew=True)
+        conclusion = self._conclude()
         looks = self.advised_looks(left)
         reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
@@ -365,7 +362,7 @@ class WorldMemory:
         Returns:
             The answer.
         """
-        return self._answer(self._concluded(anew=True), None, reason, step)
+        return self._answer(self._conclude(), None, reason, step)
 
     def _answer(self, conclusion: Conclusion | None, accepted: Answer | None, reason: str, step: int) -> ParsedReply:
         """Write the answer of the question to the graph, and return it. Without a conclusion, it is a guess."""

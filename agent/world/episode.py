@@ -341,8 +341,9 @@ class WorldEpisode:
     def _settle(self) -> None:
         """Add the waiting rows to the graph in one transaction, then record their writes."""
         writes, self._waiting = self._waiting, []
-        if writes:
-            self._graph.write([*self._rows.statements(writes)])
+        statements = [*self._rows.statements([fact for _, fact in writes])]
+        if statements:
+            self._graph.write(statements)
         for write, _ in writes:
             self._record(write)
 

@@ -1,7 +1,7 @@
 """Rows of one episode in the world tables, made by applying its writes in order.
 
 A run applies each write when it is made, and adds its rows to the graph by the statements of `queries/world/`. A replay
-applies a whole record and returns all rows. Both give the same tables.
+applies a whole record and returns all rows, also of calls and bindings, which an agent does not read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from jrdb_avr.schema.beliefs import (
     HypothesisRow,
     LookRow,
     SlotRow,
-    Write,
     episode_hash,
     episode_key,
 )
@@ -124,14 +123,15 @@ class EpisodeRows:
 
     # -- new rows, as statements --------------------------------------------------------------------------------------
 
-    def statements(self, writes: Sequence[tuple[Write, Fact]]) -> Iterator[Statement]:
-        """Yield the statements that add the rows of the newest writes to the tables, nodes before edges."""
-        rows = self._rows([fact for _, fact in writes])
-        for table in ("Episode", *(table for table, _ in _NODES.values()), *_EDGES.values()):
+    def statements(self, facts: Sequence[Fact]) -> Iterator[Statement]:
+        """Yield the statements that add the rows of the newest writes, nodes before edges.
+
+        An agent reads no `Write` and no `Hypothesis`, so only a replay adds these.
+        """
+        rows = self._rows(facts)
+        for table in ("Episode", "Slot", "Look", "Entity", *_EDGES.values()):
             named = [dict(zip(world_schema(table).names, row, strict=True)) for row in rows.get(table, ())]
             yield from self._statement(table.lower(), [self._numbered(row) for row in named])
-        lines = [{name: getattr(write, name) for name in Write.__slots__} for write, _ in writes]
-        yield from self._statement("write", [line | {"id": f"{self.key}/{line['number']}"} for line in lines])
 
     def _numbered(self, row: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the row of an edge with the numbers of its ends, by which statements find these nodes."""

@@ -5,14 +5,17 @@ import re
 from collections import Counter, defaultdict
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 from belief_runs import ASKED, BELIEF_QUERIES, Believer
 
 from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run import answering
 from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.named import find_query, named_queries
+from jrdb_avr.schema.tables import RUNS
 
 STEPS = (0, 1, 2, 4, 7)
 END = 10_000_000
@@ -30,6 +33,8 @@ def world():
                 asked = answering.answer_one(method, question, None, None, None)
                 assert asked.prediction["status"] == "invalid", asked.prediction
                 record[run_id, question.question_id] = asked.world
+            mine = [row | {"run_id": run_id} for (run, _), rows in record.items() if run == run_id for row in rows]
+            merge_world(graph.graph, run_id, pa.Table.from_pylist(mine, RUNS["world"]))
         yield graph.graph, record
 
 

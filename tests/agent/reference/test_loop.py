@@ -102,7 +102,10 @@ def test_the_graph_supports_what_was_written(world):
     shown = world_of(game)
     assert shown["people"] == {"p1": "female, 000150 at 165", "p2": "male, 000150 at 188"}
     assert shown["likely"][0]["nodes"] == {"a": "p1"}
-    assert (shown["supported"]["answer"], shown["supported"]["entity"]) == (2, "p1")
+    # While a look is advised, a turn states no answer.
+    assert shown["supported"] is None
+    without = world_of(play([*SEEN, turn(final(2))], world=world, advice=False))
+    assert (without["supported"]["answer"], without["supported"]["entity"]) == (2, "p1")
     told = game.prediction
     assert (told.status, told.answer, told.reason) == ("answered", Choice(2), "")
     # The rest of the frame was not searched.

@@ -175,9 +175,10 @@ def test_the_record_gives_back_the_tables(graph, seed):
         episode.bindings()
         episode.refuse("add_people", {"people": "\ud800", "box": [float("nan")]}, "no", step)
     episode.answered(None, episode.conclude(CHOICES, FRAMES), 6)
-    rows = tables_of(graph.graph)
-    assert all(rows.values())
-    assert replayed_rows(record_of(writes)) == rows
+    rows, replayed = tables_of(graph.graph), replayed_rows(record_of(writes))
+    assert all(replayed.values())
+    # An agent reads neither its calls nor its bindings, so they are in the record alone.
+    assert {name for name in rows if rows[name] != replayed[name]} == {"Hypothesis", "Ranks", "Write", "Wrote"}
 
 
 def test_an_emptied_graph_concludes_nothing(graph):
