@@ -118,7 +118,7 @@ class Mode:
 
     def written(self, answer: Answer) -> Any:
         """Return an answer of this mode in the form of a model's reply."""
-        texts = {
+        texts: dict[str, Callable[[Any], Any]] = {
             "choice": int,
             "frame": "{:06d}".format,
             "angle": lambda angle: round(angle, 1),

@@ -56,10 +56,10 @@ class Sight:
     def sequences(self) -> Mapping[str, str]:
         """Sequence of each question by its text. Texts of questions about several sequences are left out."""
         table = self._store.questions("questions", ["question", "sequence"])
-        table: dict[str, set[str]] = defaultdict(set)
+        names: dict[str, set[str]] = defaultdict(set)
         for text, sequence in zip(table["question"].to_pylist(), table["sequence"].to_pylist(), strict=True):
-            table[text].add(sequence)
-        return {text: sequence for text, (sequence, *others) in table.items() if not others}
+            names[text].add(sequence)
+        return {text: sequence for text, (sequence, *others) in names.items() if not others}
 
     def people(self, sequence: str, frame: int) -> tuple[Person, ...]:
         """Return the people of a frame.

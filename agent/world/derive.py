@@ -52,7 +52,7 @@ def slots_of(plan: Plan, episode: str, step: int = 0, first: int = 0) -> tuple[S
     def add(kind: SlotKind, part: PlanPart | None, topic: str, origin: Origin, frame: int, node: str = "") -> None:
         source, target = (node, "") if part is None else (*part.nodes, "")[:2]
         name, value, often = (kind, "", 1.0) if part is None else (part.name, part.value, part.often)
-        also = "|".join(may_be_called(value)) if origin == "model" and kind == "condition" else ""
+        also = "|".join(sorted(may_be_called(value))) if origin == "model" and kind == "condition" else ""
         number = first + len(slots)
         key = f"{episode}/{number}"
         row = SlotRow(key, episode, number, step, kind, source, target, name, value, topic, origin, also, frame, often)

@@ -74,7 +74,8 @@ class WorldGraph:
             QueryError: If the statement fails.
         """
         with self._measured("reads", 1):
-            return self.graph.query(cypher, params).to_pylist()
+            rows: list[dict[str, Any]] = self.graph.query(cypher, params).to_pylist()
+            return rows
 
     def write(self, statements: Sequence[Statement]) -> None:
         """Run statements that add rows, as one transaction.
