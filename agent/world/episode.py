@@ -444,8 +444,10 @@ def _is_inside(box: Box, look: LookRow) -> bool:
 def _as_json(arguments: object) -> str:
     """Return arguments as JSON in ASCII. Arguments of a refused call may be any values that a model wrote."""
     try:
-        raw = isinstance(arguments, msgspec.Raw)
-        text = bytes(arguments).decode() if raw else json.dumps(arguments, allow_nan=False)
+        if isinstance(arguments, msgspec.Raw):
+            text = bytes(arguments).decode()
+        else:
+            text = json.dumps(arguments, allow_nan=False)
     except (TypeError, ValueError, RecursionError):
         text = json.dumps(f"unreadable {type(arguments).__name__}")
     return text if len(text) <= LONGEST_ARGUMENTS else json.dumps(text[: LONGEST_ARGUMENTS // 2] + "...")
