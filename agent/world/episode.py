@@ -70,7 +70,6 @@ _MOST_RANKED: Final = 5
 
 _NO_METRES: Final = -1.0
 Record = Callable[[Write], None]
-"""Function that records a write."""
 
 
 class WorldModel:
@@ -444,10 +443,8 @@ def _is_inside(box: Box, look: LookRow) -> bool:
 def _as_json(arguments: object) -> str:
     """Return arguments as JSON in ASCII. Arguments of a refused call may be any values that a model wrote."""
     try:
-        if isinstance(arguments, msgspec.Raw):
-            text = bytes(arguments).decode()
-        else:
-            text = json.dumps(arguments, allow_nan=False)
+        raw = bytes(arguments).decode() if isinstance(arguments, msgspec.Raw) else ""
+        text = raw or json.dumps(arguments, allow_nan=False)
     except (TypeError, ValueError, RecursionError):
         text = json.dumps(f"unreadable {type(arguments).__name__}")
     return text if len(text) <= LONGEST_ARGUMENTS else json.dumps(text[: LONGEST_ARGUMENTS // 2] + "...")
