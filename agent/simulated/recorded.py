@@ -27,21 +27,15 @@ _TWICE: Final = 0.5
 _NEAR_DEG: Final = 11.25
 """Maximum angle between a picture and a crop with readings."""
 
-Reading = tuple[float, float, float, float, float, str | None]
-Readings = dict[int, dict[float, list[Reading]]]
+Readings = dict[int, dict[float, list[list[Any]]]]
 
 
 @functools.cache
 def load_readings(path: str) -> Readings:
     """Return the readings in a file by frame and angle, none for "". Raise InputError if the file cannot be read."""
     try:
-        rows = msgspec.json.decode(
-            Path(path).read_bytes() if path else b"{}", type=dict[int, dict[float, list[list[Any]]]], strict=False
-        )
-        return msgspec.convert(
-            {f: {a: [row[:6] for row in crop] for a, crop in crops.items()} for f, crops in rows.items()}, Readings
-        )
-    except (OSError, msgspec.MsgspecError) as error:
+        return msgspec.json.decode(Path(path).read_bytes() if path else b"{}", type=Readings, strict=False)
+    except (OSError, msgspec.DecodeError) as error:
         raise InputError(
             f"cannot take the readings of {path}: {error}; give a file (--simulate readings=FILE)", field="readings"
         ) from None
@@ -58,7 +52,7 @@ class RecordedReader(Reader):
         for angle, found in crops.items():
             if self.view.width == CROP and angle_error(angle, center_angle(self.view.left, CROP)) > _NEAR_DEG:
                 continue
-            for x, y, w, h, _, pose in found:
+            for x, y, w, h, _, pose, *_ in found:
                 stitched = Box(crop_left(angle) + x, y, w, h)
                 box = self.view.place(stitched)
                 if box is not None and not any(iou(box, person.box) >= _TWICE for person in people):

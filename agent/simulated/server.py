@@ -157,7 +157,7 @@ class _Handler(BaseHTTPRequestHandler):
             if not self.path.endswith("/chat/completions"):
                 raise DecodeError(f"there is no {self.path}; use /v1/chat/completions")
             self._send(200, self.server.reply(body))
-        except DecodeError as error:
+        except (DecodeError, KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
             self._send(400, {"error": {"message": str(error)}})
 
     def _send(self, status: int, value: Mapping[str, Any]) -> None:
@@ -209,14 +209,9 @@ def _probe_reply(parts: UserMessage, form: Any, see: See) -> str:
         return msgspec.json.encode(_person_reply(text, parts, see)).decode()
     if match := _OBJECT.search(text):
         return match[1]
-    try:
-        properties = form["json_schema"]["schema"].get("properties", {}) if form else {}
-        if properties:
-            return msgspec.json.encode(
-                {name: part.get("enum", [None])[0] for name, part in properties.items()}
-            ).decode()
-    except (KeyError, TypeError, IndexError, AttributeError):
-        raise DecodeError("response_format has no readable schema") from None
+    if form is not None and form["type"] == "json_schema":
+        properties = form["json_schema"]["schema"].get("properties", {})
+        return msgspec.json.encode({name: value.get("enum", [None])[0] for name, value in properties.items()}).decode()
     match = _WORD.search(text)
     return match[1] if match else '{"ok":true}'
 
