@@ -36,9 +36,7 @@ def load_readings(path: str) -> Readings:
     try:
         return msgspec.json.decode(Path(path).read_bytes() if path else b"{}", type=Readings, strict=False)
     except (OSError, msgspec.DecodeError) as error:
-        raise InputError(
-            f"cannot take the readings of {path}: {error}; give a file (--simulate readings=FILE)", field="readings"
-        ) from None
+        raise InputError(f"--simulate readings: cannot take {path}: {error}", field="readings") from None
 
 
 class RecordedReader(Reader):

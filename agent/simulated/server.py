@@ -45,6 +45,7 @@ class _Request(msgspec.Struct):
     response_format: Any = None
     tools: list[Tool] = []
     stream: bool | None = None
+    simulated: bool = False
 
 
 # Made at import, because threads that meet a type first at the same time crash the decoder.
@@ -114,8 +115,9 @@ class Server(ThreadingHTTPServer):
         profile = PROFILES.get(message.model.removeprefix(f"{SIMULATED}:"), PROFILES[USUAL_PROFILE])
         errors = self._errors or profile
         see = functools.partial(self._see, errors)
-        # Only programs that declare tools may send pictures without references.
-        sequences = self._sight.sequences if self._sight is not None and message.tools else {}
+        # Only programs that declare tools, or the run simulated, may send pictures without references.
+        by_text = message.tools or message.simulated
+        sequences = self._sight.sequences if self._sight is not None and by_text else {}
         request = read_request(turns, STAGES, see, sequences)
         calls: list[dict[str, Any]] = []
         if request is None:

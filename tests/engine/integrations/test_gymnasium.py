@@ -88,7 +88,7 @@ def test_the_simulated_model_plays_as_in_evaluate(make, model, same, by_evaluate
             assert (reward, truncated, info["refused"]) == (0.0, False, "")
             if terminated:
                 rows.append(finished_entry(question, info["prediction"], (), (), 0.0).prediction)
-            return "looked", jpeg_picture("crop", seen["image"]).data
+            return "looked", jpeg_picture("crop", seen["image"], {}).data
 
         asyncio.run(play(model[0], info["prompt"], call))
     same(rows)

@@ -16,12 +16,13 @@ needs("inspect_ai", "openai")
 def run(model, tmp_path, monkeypatch):
     """Run a task on the simulated model, or another; returns the log."""
     import inspect_ai
-    from inspect_ai.model import get_model
+    from inspect_ai.model import GenerateConfig, get_model
 
     monkeypatch.setenv("SIMULATED_API_KEY", "none")
+    declared = GenerateConfig(extra_body={"simulated": True})
 
     def run(task, own=None, **options):
-        own = own or get_model("openai-api/simulated/perfect", base_url=model[0])
+        own = own or get_model("openai-api/simulated/perfect", base_url=model[0], config=declared)
         options = {"log_dir": str(tmp_path / "logs"), "display": "none", **options}
         (log,) = inspect_ai.eval(task, model=own, **options)
         assert log.status == "success", log.error
