@@ -46,7 +46,7 @@ def test_readings_have_the_identity_of_the_person_whom_they_overlap(tmp_path):
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     for errors in (PROFILES["recorded"], parse_errors([f"readings={tmp_path}/none"])):
-        with pytest.raises(InputError, match="cannot take the readings of"):
+        with pytest.raises(InputError, match="--simulate readings: cannot take"):
             Server(None, errors)
 
 
