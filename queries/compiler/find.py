@@ -338,19 +338,3 @@ def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
     if not rows:
         return "empty", {}
     return ("defined", people_of(find, rows[0])) if len(sure) == certain else ("unknown", {})
-
-
-def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, PersonId]]) -> Agreed:
-    """Return the outcome if all bindings are certain and must have the same target.
-
-    Args:
-        plan: Plan.
-        people: People of each binding, by node.
-
-    Returns:
-        The outcome, with the nodes that have the same person in all bindings.
-    """
-    if len({binding[plan.target] for binding in people}) != 1:
-        return "ambiguous" if people else "empty", {}
-    same = {node: person for node, person in people[0].items() if all(b[node] == person for b in people)}
-    return "defined", same

@@ -61,7 +61,7 @@ def solve(
     """Solve plans with the reader of a namespace.
 
     Args:
-        reader: SceneReader.
+        reader: Reader of the scene.
         queries: Plans with their scopes.
         rules: Thresholds.
         advance: Function that is called with the number of plans after each search.
@@ -96,18 +96,6 @@ def solve(
         advance(len(members))
     solutions |= _read_all(reader, plans, rules)
     return [solutions[i] for i in range(len(queries))]
-
-
-def read_with(reader: SceneReader, query: PlanQuery, people: Mapping[str, PersonId], rules: Rules) -> Solution:
-    """Read a plan with given people, without a test of its conditions and edges.
-
-    Args:
-        reader: SceneReader.
-        query: Plan with its scope.
-        people: People by node. Events of nodes without a person are unknown.
-        rules: Thresholds.
-    """
-    return _read_all(reader, [_BoundPlan(0, query, people)], rules)[0]
 
 
 class _BoundPlan:
