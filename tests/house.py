@@ -23,7 +23,7 @@ BUDGETS = {
     "engine/validate": 600,
     "engine/observe": 230,
     "engine/run": 1500,
-    "engine/report": 1150,
+    "engine/report": 1300,
     "engine/pages": 1150,
     "engine/integrations": 600,
     "engine/commands": 1400,
