@@ -28,7 +28,7 @@ BUDGETS = {
     "engine/integrations": 600,
     "engine/commands": 1400,
     "engine": 350,
-    "agent/model": 1150,
+    "agent/model": 1210,
     "agent/methods": 460,
     "agent/simulated": 950,
     "agent": 2750,
