@@ -333,5 +333,5 @@ def test_reasons_hold_no_control_characters():
                 decode.only_keys(reply, ("action",), "x")
             assert str(caught.value).isascii() and str(caught.value).isprintable()
         with pytest.raises(DecodeError) as caught:
-            reply_object(Reply("{}", finish_reason=word))
+            reply_object(Reply("", finish_reason=word))
         assert str(caught.value).isascii() and str(caught.value).isprintable()
