@@ -177,7 +177,7 @@ def _text(value: object) -> str:
 
 def _tokens(usage: object, *names: str) -> int:
     """Return a count of tokens. If it is missing or invalid, return 0, because the reply itself may be valid."""
-    counts = [usage.get(name) for name in names] if isinstance(usage, dict) else []
+    counts: list[Any] = [usage.get(name) for name in names] if isinstance(usage, dict) else []
     valid = (count for count in counts if type(count) in (int, float) and 0 < count <= _MOST_TOKENS)
     return next((int(count) for count in valid if count == int(count)), 0)
 
