@@ -155,7 +155,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
     for name in names:
-        title = formats.caption(name, rows_of[name]) if name in PAPER else name if len(names) > 1 else ""
+        title = formats.paper_caption(name, rows_of[name]) if name in PAPER else name if len(names) > 1 else ""
         if as_markdown:
             text = formats.markdown(formats.for_paper(name, rows_of[name]))
             click.echo((f"### {title}\n\n" if title else "") + text, nl=False)

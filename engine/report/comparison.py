@@ -183,7 +183,7 @@ class Comparison(Displayed):
             A `tabular` environment, and notes below it if the table has settings.
         """
         rows = self.table(name)
-        return formats.latex(formats.for_paper(name, rows), formats.caption(name, rows) if name in PAPER else "")
+        return formats.latex(formats.for_paper(name, rows), formats.paper_caption(name, rows) if name in PAPER else "")
 
     def _summary(self) -> str:
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"

@@ -120,7 +120,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
     return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in printed]
 
 
-def caption(name: str, rows: Rows) -> str:
+def paper_caption(name: str, rows: Rows) -> str:
     """Return the caption of a table of `PAPER`.
 
     Args:

@@ -14,7 +14,7 @@ from jrdb_avr.engine.console import csv_text
 from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.engine.report.directions import direction_lines
-from jrdb_avr.engine.report.formats import caption, cell, for_paper, latex, markdown, with_intervals
+from jrdb_avr.engine.report.formats import cell, for_paper, latex, markdown, paper_caption, with_intervals
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
 from jrdb_avr.engine.report.scored_runs import ScoredRun
 from jrdb_avr.engine.report.side_by_side import paper_rows
@@ -142,9 +142,9 @@ def test_a_synthetic_run_is_beside_the_paper_only_by_order_and_is_called_synthet
     made = ScoredRun(msgspec.structs.replace(run.manifest, synthetic=True), run.rows, run.table, 0, run.answers)
     assert beside("paper_main", benchmark, [made]) == []
     rows = paper_rows("paper_main", benchmark.index, [made], "Qwen3.5 9B")
-    texts, title = for_paper("paper_main", rows), caption("paper_main", rows)
+    texts, title = for_paper("paper_main", rows), paper_caption("paper_main", rows)
     assert texts[-1]["answer"].endswith("] synthetic") and texts[-1]["n"] == "2098 synthetic" and "synthetic" in title
-    assert texts[0]["answer"] == texts[0]["n"] == "" and "synthetic" not in caption("paper_main", rows[:-1])
+    assert texts[0]["answer"] == texts[0]["n"] == "" and "synthetic" not in paper_caption("paper_main", rows[:-1])
     assert "; the figures of this store are synthetic}" in latex(texts, title)
 
 
