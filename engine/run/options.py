@@ -93,8 +93,8 @@ class MethodOptions(Options):
     )
     opaque: bool = option(
         False,
-        "Replace names of sequences and ids of questions by hashes in all that the method sees. The hashes are equal in "
-        "all runs of a store.",
+        "Replace names of sequences and ids of questions by hashes in all that the method sees. The hashes are equal "
+        "in all runs of a store.",
     )
     simulate: tuple[str, ...] = option(
         (),
