@@ -17,6 +17,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.queries.files import write_once
+from jrdb_avr.queries.questions import sequences_of_questions
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -67,8 +68,7 @@ def stored_ids(store: Store) -> dict[str, str]:
     """Return the id in the store of each question, by opaque id. A store without a key has no opaque ids."""
     if not key_path(store).exists():
         return {}
-    ids = store.questions("questions", ["question_id"])["question_id"].to_pylist()
-    return {opaque: name for name, opaque in opaque_ids(store, ids).items()}
+    return {opaque: name for name, opaque in opaque_ids(store, sequences_of_questions(store)).items()}
 
 
 def rename(table: pa.Table, column: str, names: Mapping[str, str]) -> pa.Table:
