@@ -730,8 +730,25 @@ def test_a_key_that_is_a_word_leaves_replies_alone(monkeypatch):
     ids=str,
 )
 def test_a_server_that_counts_nonsense_is_still_heard(usage):
+    """Its tokens are estimated: five and two characters are one token each."""
     with FakeServer(lambda request, n: {**completion("hi"), "usage": usage}) as server:
-        assert client(server)[0].complete(ASK) == Reply("hi", "", "stop", "fake-1", 0, 0)
+        made, _ = client(server)
+        assert made.complete(ASK) == Reply("hi", "", "stop", "fake-1", 1, 1, estimated=True)
+        assert made.estimates == 1
+
+
+@pytest.mark.parametrize(
+    "usage",
+    [
+        {"input_tokens": 10, "output_tokens": 5},
+        {"prompt_tokens": 10.0, "completion_tokens": 5.0},
+        {"prompt_tokens": None, "input_tokens": 10.0, "completion_tokens": 5},
+    ],
+)
+def test_counts_of_tokens_in_other_forms(usage):
+    assert read_completion(json.dumps({**completion("hi"), "usage": usage}).encode()) == Reply(
+        "hi", "", "stop", "fake-1", 10, 5
+    )
 
 
 @pytest.mark.parametrize("key", ["sk-abc\nX-Evil: y", "sk abc", "sk-abc\x1b", "sk-\xe4bc"])
