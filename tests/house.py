@@ -23,7 +23,7 @@ BUDGETS = {
     "engine/validate": 600,
     "engine/observe": 230,
     "engine/run": 1530,
-    "engine/report": 1160,
+    "engine/report": 1170,
     "engine/pages": 1150,
     "engine/integrations": 600,
     "engine/commands": 1400,
