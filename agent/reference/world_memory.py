@@ -281,22 +281,24 @@ class WorldMemory:
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
 
     def due_looks(self, left: int) -> Sequence[NextLook]:
-        """Return the best look, and the next one too if it searches the same frame, whatever the first one shows.
+        """Return the best look, and the next ones too while they search the same frame for a person of the plan.
 
         Args:
             left: Number of looks that are left.
 
         Returns:
-            At most two looks.
+            At most three looks, as if the looks before showed nothing.
         """
-        first = self.advised_looks(left)[:1]
-        if not first or first[0].purpose != "identify" or left == 1:
-            return first
-        frame, frames = first[0].frame, self.attempt.task.sequence.frames
-        searched = self.world.tracks.with_people(SeenColumns(int(crop_left(first[0].angle)), CROP), frame, ())
-        second = next_looks(self.plan, searched, self._likely(), left - 1, frames, 1)
-        both = second and second[0].purpose == "identify" and second[0].frame == frame
-        return (*first, *second) if both else first
+        due: list[NextLook] = []
+        tracks, frames = self.world.tracks, self.attempt.task.sequence.frames
+        advised = self.advised_looks(left)[:1]
+        while advised and (not due or (advised[0].purpose == "identify" and advised[0].frame == due[0].frame)):
+            due += advised
+            columns = SeenColumns(int(crop_left(advised[0].angle)), CROP)
+            tracks = tracks.with_people(columns, advised[0].frame, ())
+            more = due[0].purpose == "identify" and len(due) < min(left, MOST_LOOKS)
+            advised = next_looks(self.plan, tracks, self._likely(), left - len(due), frames, 1) if more else ()
+        return due
 
     def finish(self, call: Call, views: Mapping[str, NamedView], left: int, step: int) -> ParsedReply:
         """Judge a final answer by the graph.
