@@ -21,7 +21,7 @@ from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_eviden
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message, Part
 from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.agent.perceive.fields import CANNOT_TELL, Field
+from jrdb_avr.agent.perceive.fields import Field
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.reference.tools import (
     GRAPH_TOOLS,
@@ -426,13 +426,5 @@ def world_heading(heading: str, plan: Plan, fields: Sequence[Field]) -> str:
     Returns:
         The text.
     """
-    forms = {entry.key: _form(entry) for entry in fields}
+    forms = {entry.key: entry.form() for entry in fields}
     return f"{heading}\nPlan: {canonical(plan)}\nFields: {compact_json(forms)}"
-
-
-def _form(entry: Field) -> object:
-    """Return the values of a field, without "cannot tell", because the prompt allows it for every field."""
-    if entry.kind == "statement":
-        return "yes/no"
-    form = entry.form()
-    return [label for label in form if label != CANNOT_TELL] if entry.kind == "labels" else form
