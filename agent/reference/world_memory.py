@@ -30,10 +30,9 @@ from jrdb_avr.agent.reference.tools import (
     read_people,
     read_relation,
     world_schema,
-    written_answer,
 )
 from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, printable, view_parts
-from jrdb_avr.schema.answer_modes import MODES, same_answer
+from jrdb_avr.schema.answer_modes import MODES, mode_of, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
@@ -182,7 +181,11 @@ class WorldMemory:
         conclusion = self._conclude()
         if conclusion is None:
             return None
-        return {"answer": written_answer(conclusion.answer), "entity": conclusion.entity, "verdict": conclusion.verdict}
+        return {
+            "answer": mode_of(conclusion.answer).written(conclusion.answer),
+            "entity": conclusion.entity,
+            "verdict": conclusion.verdict,
+        }
 
     # -- observations and writes --------------------------------------------------------------------------------------
 
@@ -345,7 +348,7 @@ class WorldMemory:
         ):
             return ""
         else:
-            support = compact_json(written_answer(conclusion.answer))
+            support = compact_json(mode_of(conclusion.answer).written(conclusion.answer))
             reason = f"the graph supports the answer {support} of {conclusion.entity} ({conclusion.verdict})"
         best = self._likely()[0] if self._likely() else None
         if best is not None and (parts := self._open(best)):
