@@ -47,6 +47,16 @@ def test_one_object_is_read(text):
     assert reply_object(reply(text)) == json.loads(OBJECT)
 
 
+@pytest.mark.parametrize("reason", ["end", "COMPLETE", "<|eot_id|>", "tool_calls", "other"])
+def test_an_unknown_finish_reason_leaves_a_readable_reply_valid(reason):
+    assert reply_object(reply(OBJECT, reason)) == json.loads(OBJECT)
+    assert reply(OBJECT, reason).finished
+    with pytest.raises(DecodeError, match="is not one JSON object"):
+        reply_object(reply(OBJECT[:-1], reason))
+    with pytest.raises(DecodeError, match=r"is empty \(finish_reason "):
+        reply_object(reply("", reason))
+
+
 def test_a_delimiter_in_a_text_is_text():
     said = '{"reasoning": ["the sign reads <think>"]}'
     assert reply_object(reply(said)) == json.loads(said)
@@ -160,6 +170,7 @@ def test_what_was_thought_is_never_what_was_said(thoughts, words, model):
     [
         ("multiple_choice", 1, Choice(1)),
         ("multiple_choice", 4, Choice(4)),
+        ("multiple_choice", 2.0, Choice(2)),
         ("frame", {"frame_id": "000150"}, FrameAnswer(150)),
         ("span", {"start_frame": "000010", "end_frame": "000010"}, Span(10, 10)),
         ("frame_viewpoint", {"frame_id": "000999", "angle_deg": -30}, FrameViewpoint(999, 330.0)),
@@ -177,7 +188,8 @@ def test_answers_that_fit(mode, value, answer):
         ("multiple_choice", 0),
         ("multiple_choice", 5),
         ("multiple_choice", True),
-        ("multiple_choice", 2.0),
+        ("multiple_choice", 2.5),
+        ("multiple_choice", 1e400),
         ("multiple_choice", "2"),
         ("multiple_choice", "B"),
         ("multiple_choice", "sitting"),
@@ -323,5 +335,5 @@ def test_reasons_hold_no_control_characters():
                 decode.only_keys(reply, ("action",), "x")
             assert str(caught.value).isascii() and str(caught.value).isprintable()
         with pytest.raises(DecodeError) as caught:
-            reply_object(Reply("{}", finish_reason=word))
+            reply_object(Reply("", finish_reason=word))
         assert str(caught.value).isascii() and str(caught.value).isprintable()
