@@ -129,10 +129,10 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         return
 
     from jrdb_avr.engine.report import comparison, formats
-    from jrdb_avr.engine.report.tables import PAPER, TABLES
+    from jrdb_avr.engine.report.tables import PAPER_TABLES, TABLES
     from jrdb_avr.schema.errors import did_you_mean
 
-    tables += tuple(PAPER) if paper else ()
+    tables += tuple(PAPER_TABLES) if paper else ()
     names = TABLES if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
     for name in names:
         if name not in TABLES:
@@ -159,14 +159,14 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
     for name in names:
-        title = formats.paper_caption(name, rows_of[name]) if name in PAPER else name if len(names) > 1 else ""
+        title = formats.paper_caption(name, rows_of[name]) if name in PAPER_TABLES else name if len(names) > 1 else ""
         if as_markdown:
             text = formats.markdown(formats.for_paper(name, rows_of[name]))
             click.echo((f"### {title}\n\n" if title else "") + text, nl=False)
         elif as_latex:
-            text = formats.latex(formats.for_paper(name, rows_of[name]), title if name in PAPER else "")
+            text = formats.latex(formats.for_paper(name, rows_of[name]), title if name in PAPER_TABLES else "")
             click.echo((f"% {title}\n" if title else "") + text, nl=False)
-        elif name in PAPER:
+        elif name in PAPER_TABLES:
             print_rows(formats.for_paper(name, rows_of[name]), title=title)
         else:
             _print_table(name, rows_of[name], title)

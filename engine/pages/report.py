@@ -14,7 +14,7 @@ from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.formats import filled, for_paper, paper_caption, without_rough
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
-from jrdb_avr.engine.report.tables import PAPER, TOO_FEW, Line
+from jrdb_avr.engine.report.tables import PAPER_TABLES, TOO_FEW, Line
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",
@@ -45,7 +45,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None,
         comparison=comparison,
         tables=tables,
         main=tables["main"],
-        paper={paper_caption(name, tables[name]): for_paper(name, tables[name]) for name in PAPER if paper},
+        paper={paper_caption(name, tables[name]): for_paper(name, tables[name]) for name in PAPER_TABLES if paper},
         dots=scatter(tables["main"]),
         families=families,
         about={run.manifest.run_id: {"method": run.manifest.method, "model": run.manifest.model} for run in runs},

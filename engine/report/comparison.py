@@ -18,7 +18,7 @@ from jrdb_avr.engine.report.run_scores import read_submission, score_runs, write
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.side_by_side import paper_rows
 from jrdb_avr.engine.report.tables import (
-    PAPER,
+    PAPER_TABLES,
     RESULTS,
     TABLES,
     Line,
@@ -132,7 +132,7 @@ class Comparison(Displayed):
                 return agreement_rows(index, runs)
             case "epochs":
                 return epoch_rows(runs)
-        if name in PAPER:
+        if name in PAPER_TABLES:
             return paper_rows(name, index, runs, self.backbone)
         return breakdown_rows(index, runs, name)
 
@@ -183,7 +183,9 @@ class Comparison(Displayed):
             A `tabular` environment, and notes below it if the table has settings.
         """
         rows = self.table(name)
-        return formats.latex(formats.for_paper(name, rows), formats.paper_caption(name, rows) if name in PAPER else "")
+        return formats.latex(
+            formats.for_paper(name, rows), formats.paper_caption(name, rows) if name in PAPER_TABLES else ""
+        )
 
     def _summary(self) -> str:
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"
@@ -222,7 +224,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
-        backbone: For the tables `PAPER`, the paper's name for the model of the runs that no alias matches. Runs of the
+        backbone: For the tables `PAPER_TABLES`, the paper's name for the model of the runs that no alias matches. Runs of the
             simulated model and of the sample are in these tables only under this name.
 
     Returns:

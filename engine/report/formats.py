@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from jrdb_avr.engine.report.tables import PAPER, SHARES, TOO_FEW
+from jrdb_avr.engine.report.tables import PAPER_TABLES, SHARES, TOO_FEW
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.queries.display import list_columns
 
@@ -92,12 +92,12 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
         rows: The rows of the table.
 
     Returns:
-        The rows with all values as text. Synthetic figures in a table of `PAPER` are called so. If the table is
+        The rows with all values as text. Synthetic figures in a table of `PAPER_TABLES` are called so. If the table is
         `main`, the macro averages are left out, and the rows are
         grouped by model. The groups are in the order of the first rows of their models.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
-    if name in PAPER:
+    if name in PAPER_TABLES:
         for row, source in zip(printed, rows, strict=True):
             if source.get("run", "") is None:
                 row |= {column: "" for column in row if source.get(column) is None}
@@ -121,7 +121,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
 
 
 def paper_caption(name: str, rows: Rows) -> str:
-    """Return the caption of a table of `PAPER`.
+    """Return the caption of a table of `PAPER_TABLES`.
 
     Args:
         name: The name of the table.
@@ -131,7 +131,7 @@ def paper_caption(name: str, rows: Rows) -> str:
         The caption. It says if the store's figures are synthetic.
     """
     synthetic = "; the figures of this store are synthetic" if any(row.get("label") for row in rows) else ""
-    return f"{PAPER[name]}, beside this store [95 % interval] and the difference{synthetic}"
+    return f"{PAPER_TABLES[name]}, beside this store [95 % interval] and the difference{synthetic}"
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:

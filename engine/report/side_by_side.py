@@ -27,7 +27,7 @@ _ENTRIES: Final[dict[str, list[tuple[Line, Published]]]] = {
 
 
 def paper_rows(table: str, index: QuestionIndex, runs: Sequence[ScoredRun], backbone: str = "") -> list[Line]:
-    """Compute a table of `PAPER`.
+    """Compute a table of `PAPER_TABLES`.
 
     Args:
         table: Its name.

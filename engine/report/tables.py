@@ -297,7 +297,7 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
 RESULTS: Final = ("evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
 
-PAPER: Final = {
+PAPER_TABLES: Final = {
     "paper_main": "Table 3 of the paper, the main table",
     "paper_ablation": "Table 4 of the paper, active observation and world model",
     "paper_generators": "Table 5 of the paper, questions per generator",
@@ -305,6 +305,6 @@ PAPER: Final = {
 }
 """Titles of the tables that have the paper's figures beside the figures of the store, by name."""
 
-TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS, *PAPER)
+TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS, *PAPER_TABLES)
 """Names of all tables. `main` has the scores with intervals. `twins` is empty if the questions have no time twins. A
 dimension's table has the scores per value."""
