@@ -159,14 +159,15 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
     for name in names:
-        title = formats.paper_caption(name, rows_of[name]) if name in PAPER_TABLES else name if len(names) > 1 else ""
+        caption = formats.paper_caption(name, rows_of[name])
+        title = caption or (name if len(names) > 1 else "")
         if as_markdown:
             text = formats.markdown(formats.for_paper(name, rows_of[name]))
             click.echo((f"### {title}\n\n" if title else "") + text, nl=False)
         elif as_latex:
-            text = formats.latex(formats.for_paper(name, rows_of[name]), title if name in PAPER_TABLES else "")
+            text = formats.latex(formats.for_paper(name, rows_of[name]), caption)
             click.echo((f"% {title}\n" if title else "") + text, nl=False)
-        elif name in PAPER_TABLES:
+        elif caption:
             print_rows(formats.for_paper(name, rows_of[name]), title=title)
         else:
             _print_table(name, rows_of[name], title)

@@ -224,8 +224,8 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
-        backbone: For the tables `PAPER_TABLES`, the paper's name for the model of the runs that no alias matches. Runs of the
-            simulated model and of the sample are in these tables only under this name.
+        backbone: In the tables of `PAPER_TABLES`, the paper's name for the model of the runs that no alias matches.
+            Runs of the simulated model and of the sample are in these tables only under this name.
 
     Returns:
         The comparison, which computes each table on request.

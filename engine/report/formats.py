@@ -121,7 +121,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
 
 
 def paper_caption(name: str, rows: Rows) -> str:
-    """Return the caption of a table of `PAPER_TABLES`.
+    """Return the caption of a table of `PAPER_TABLES`, or "" for any other table.
 
     Args:
         name: The name of the table.
@@ -130,6 +130,8 @@ def paper_caption(name: str, rows: Rows) -> str:
     Returns:
         The caption. It says if the store's figures are synthetic.
     """
+    if name not in PAPER_TABLES:
+        return ""
     synthetic = "; the figures of this store are synthetic" if any(row.get("label") for row in rows) else ""
     return f"{PAPER_TABLES[name]}, beside this store [95 % interval] and the difference{synthetic}"
 
