@@ -123,7 +123,7 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
     bundles: dict[str | Path, Bundle] = {}
 
     def opened(folder: str | Path) -> Submission:
-        bundles[folder] = read_bundle(folder)
+        bundles[folder] = read_bundle(folder, store)
         return bundle_submission(store, bundles[folder])
 
     def refuse(error: StoreError | InputError) -> None:

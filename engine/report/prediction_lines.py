@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -90,13 +91,14 @@ def write_lines(predictions: pa.Table) -> Iterator[bytes]:
             raise StoreError(f"the prediction of question {question} cannot be written as JSON: {error}") from None
 
 
-def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
+def parse_lines(data: bytes, run_id: str, file: Path, stored: Mapping[str, str] = MappingProxyType({})) -> pa.Table:
     """Make the table `predictions` of a run from lines.
 
     Args:
         data: The bytes of all lines.
         run_id: The id of the run.
         file: The path of the file, for messages.
+        stored: The id in the store of each question, by opaque id. All other ids stay.
 
     Returns:
         The table, in the order of the lines.
@@ -119,6 +121,7 @@ def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
                 raise ValueError(
                     f"its status is {record.status}, but it has an answer: remove the status or the answer"
                 )
+            record = msgspec.structs.replace(record, question_id=stored.get(record.question_id, record.question_id))
             if record.question_id in ids:
                 raise ValueError(f"question {record.question_id!a} comes twice")
             ids.add(record.question_id)

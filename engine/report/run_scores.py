@@ -48,7 +48,7 @@ def read_submission(store: Store, run_id: str) -> Submission:
     """
     manifest = read_run_manifest(store, run_id)
     if manifest.questions_sha256 != questions_hash(store):
-        raise StoreError(f"run {run_id} belongs to another questions file than this store's: score it in its own store")
+        raise StoreError(f"run {run_id} belongs to another questions file than this store's: score its bundle (submit)")
     path = predictions_path(store, run_id)
     return Submission(manifest, fit_schema(read_table(path, _COLUMNS), SCORED, path, "evaluate"))
 

@@ -15,9 +15,10 @@ from typing import Any, Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, write_tables
+from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, with_id, write_tables
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import matching, select_questions
+from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -56,7 +57,8 @@ class Run(Journal):
             StoreError: If the journal is damaged, if it cannot be written, or if it has answers but no manifest.
         """
         folder = store.run_path(run_id)
-        super().__init__(journal_folder(folder), sequences_of_questions(store))
+        self._stored_ids = stored_ids(store)
+        super().__init__(journal_folder(folder), sequences_of_questions(store), self._stored_ids)
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False
@@ -111,12 +113,14 @@ class Run(Journal):
         """Append the entry of a finished question to the journal, and return when it is on disk.
 
         Args:
-            entry: The entry.
+            entry: The entry. If its question has an opaque id, the journal gets the id in the store.
 
         Raises:
             StoreError: If writing fails, or if `finish` has already been called. For example, a player's last move may
                 arrive while the run ends.
         """
+        if stored := self._stored_ids.get(entry.question_id):
+            entry = with_id(entry, stored)
         with self._writing:
             if self._over:
                 raise StoreError(f"run {self.run_id!r} has ended: play this question again with --resume")

@@ -35,7 +35,7 @@ from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.card import is_of_sample
-from jrdb_avr.schema.errors import AvrError, InputError, LockedError, RunStoppedError, StoreError
+from jrdb_avr.schema.errors import AvrError, FilteredError, InputError, LockedError, RunStoppedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -552,7 +552,15 @@ def no_look(sequence, frame_index, angle_deg):
 
 @pytest.mark.parametrize(
     "error",
-    [ValueError("bad\nthing"), AvrError("no way"), RecursionError(), MemoryError(), SystemExit(0), GeneratorExit()],
+    [
+        ValueError("bad\nthing"),
+        AvrError("no way"),
+        FilteredError("refused"),
+        RecursionError(),
+        MemoryError(),
+        SystemExit(0),
+        GeneratorExit(),
+    ],
 )
 def test_whatever_a_method_raises_is_an_error_row(error):
     def behave(task):
@@ -560,7 +568,8 @@ def test_whatever_a_method_raises_is_an_error_row(error):
         raise error
 
     finished = answering.answer_one(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
-    assert finished.failed
+    assert finished.failed != isinstance(error, FilteredError)
+    assert finished.prediction["status"] == ("error" if finished.failed else "invalid")
     assert "\n" not in finished.prediction["reason"]
     assert finished.prediction["n_model_calls"] == 1
     assert len(finished.steps) == 1
