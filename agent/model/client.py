@@ -59,10 +59,11 @@ _REMEDIES: Final = {
     403: "; put a key that may use the model into ${key}",
     404: "; check --base-url (most end in /v1) and --model",
 }
+_STREAMS: Final = "; replies are only read whole: set the server, or a gateway before it, to reply without a stream"
 _HINTS: Final = {
     "temperature": "; if the model takes none, give --temperature none",
     "chat_template_kwargs|enable_thinking": "; give --thinking template: requests then hold no chat_template_kwargs",
-    r"\bstream": "; replies must come whole: serve the model by a server that needs no stream",
+    r"\bstream": _STREAMS,
 }
 """Remedies by a regular expression for the reason of a refusal."""
 
@@ -132,7 +133,7 @@ class Client:
         self.base_url = checked_url(base_url)
         self.model = model
         self.options = options
-        self.convention = convention
+        self.convention = options.delimited(convention)
         self._calls = None if cache is None else Calls(cache)
         self._credentials = Credentials(options.api_key_env, options.headers)
         self._limit = RateLimit(options.rpm, options.tpm, clock, pause)
@@ -295,6 +296,8 @@ class Client:
             raise self._refusal(error, response.headers.get("retry-after", "")) from None
         except ValueError as error:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
+            if kind == "text/event-stream":
+                raise EndpointError(f"{self.base_url}: the server streams its reply{_STREAMS}") from None
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
         self._served.setdefault(reply.model)
         reply = with_tokens(reply, messages, self.convention)

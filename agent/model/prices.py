@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from jrdb_avr.agent.model.conventions import Convention
-from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.messages import Message, Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import InputError
 
@@ -60,13 +60,10 @@ def estimate_tokens(messages: Sequence[Message], convention: Convention) -> int:
     Returns:
         The estimated number of tokens.
     """
-    tokens = 0.0
-    for part in (part for message in messages for part in message.parts):
-        if isinstance(part, str):
-            tokens += len(part) / _CHARACTERS
-        else:
-            tokens += convention.picture_tokens(*part.size) or part.size[0] * part.size[1] / _PIXELS
-    return round(tokens)
+    parts = [part for message in messages for part in message.parts]
+    sizes = [part.size for part in parts if isinstance(part, Picture)]
+    pictures = (convention.picture_tokens(*size) or size[0] * size[1] / _PIXELS for size in sizes)
+    return round(sum(len(part) for part in parts if isinstance(part, str)) / _CHARACTERS + sum(pictures))
 
 
 def with_tokens(reply: Reply, messages: Sequence[Message], convention: Convention) -> Reply:
