@@ -148,6 +148,8 @@ class Client:
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
         self._replies = 0
+        self.retries = 0
+        """Number of requests that were repeated."""
         self._bounds = bounds
         self._connections = Connections(self.base_url, bounds)
 
@@ -252,6 +254,7 @@ class Client:
             stop=lambda state: state.idle_for >= patience_s,
             wait=_pause_s,
             sleep=self._pause,
+            before_sleep=self._count_retry,
             reraise=True,
         )
         repeating = waiting.copy(
@@ -268,6 +271,10 @@ class Client:
             # A probe belongs to no run that could be resumed.
             resume = "" if probe else " (evaluate with --resume)"
             raise kind(f"{self.base_url}: {broken.reason} (tries: {tries}): {broken.remedy}{resume}") from None
+
+    def _count_retry(self, state: RetryCallState) -> None:
+        with self._lock:
+            self.retries += 1
 
     def _try(self, body: bytes, messages: Sequence[Message], timeout_s: float) -> Reply:
         import httpx2
