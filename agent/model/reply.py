@@ -132,16 +132,16 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
     if choice.error or _FAILED.search(plain):
         reason, code = _reason(choice.error)
         raise ErrorReply(status, reason or f"the reply ended with finish_reason {ended!a}", code)
-    text = choice.message
-    content, thinking = _parts(text.content)
+    message = choice.message
+    content, thinking = _parts(message.content)
     return Reply(
         content=content,
-        reasoning=_text(text.reasoning_content) or _text(text.reasoning) or thinking,
+        reasoning=_text(message.reasoning_content) or _text(message.reasoning) or thinking,
         finish_reason=ended,
         model=_text(completion.model)[:_LONGEST_NAME],
         prompt_tokens=_tokens(completion.usage, "prompt_tokens", "input_tokens"),
         completion_tokens=_tokens(completion.usage, "completion_tokens", "output_tokens"),
-        refusal=_text(text.refusal),
+        refusal=_text(message.refusal),
     )
 
 
