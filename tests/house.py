@@ -29,13 +29,13 @@ BUDGETS = {
     "engine/commands": 1400,
     "engine": 350,
     "agent/model": 1250,
-    "agent/methods": 460,
+    "agent/methods": 495,
     "agent/simulated": 950,
     "agent": 2750,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 25_800
+TOTAL = 25_840
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {
