@@ -22,8 +22,8 @@ BUDGETS = {
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1530,
-    "engine/report": 1150,
+    "engine/run": 1560,
+    "engine/report": 1175,
     "engine/pages": 1150,
     "engine/integrations": 600,
     "engine/commands": 1400,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 25_840
+TOTAL = 26_000
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

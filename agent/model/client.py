@@ -1,9 +1,9 @@
 """Client of OpenAI-compatible chat servers.
 
 A call that finishes cleanly is stored under the sha256 of the whole request, so that it is never paid for twice. The
-client repeats a call for about two minutes if the server is busy (429, 503, 529) or cannot be reached. The client
-repeats a call a few times if the call breaks (timeout, unreadable reply, any other 5xx). Any other refusal raises an
-exception immediately. API keys come from the environment and are sent only in the headers of requests.
+client repeats a call for about two minutes if the server is busy (429, 498, 503, 529) or cannot be reached. The client
+repeats a call a few times if the call breaks (timeout, unreadable reply, 408, 409, 424, any other 5xx). Any other
+refusal raises an exception immediately. API keys come from the environment. They are sent only in request headers.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
 from jrdb_avr.agent.model.options import AUTO, DEFAULTS, EndpointOptions
+from jrdb_avr.agent.model.prices import with_tokens
 from jrdb_avr.agent.model.reply import ErrorReply, Reply, answer_text, read_completion
 from jrdb_avr.agent.model.transport import BOUNDS, Bounds, Connections, Credentials, address_of, checked_url
-from jrdb_avr.schema.errors import EndpointError, RunStoppedError
+from jrdb_avr.schema.errors import EndpointError, FilteredError, RunStoppedError
 
 if TYPE_CHECKING:
     from tenacity import RetryCallState
@@ -42,16 +43,28 @@ _SECONDS: Final = re.compile(r"[0-9]{1,9}(\.[0-9]+)?")
 """Form of a Retry-After header that names a pause in seconds."""
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
-_BUSY: Final = (429, 503, 529)
+_BUSY: Final = (429, 498, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
-_NO_CREDIT: Final = "insufficient_quota"
-"""Error code of a response with status 429 if the account has no credit left, so that waiting does not help."""
+_BROKEN: Final = (408, 409, 424, 425, 499)
+"""Further statuses of failures that may be gone at the next attempt: time-outs, conflicts, failed dependencies."""
+_NO_CREDIT: Final = re.compile(r"(?i)insufficient_quota|insufficient (balance|credit|fund)|credit balance|arrearage")
+"""Codes and reasons of a refusal if the account has no credit left, so that waiting does not help."""
+_FILTERED: Final = re.compile(
+    r"(?is)(?!.*\b(account|suspended)\b).*(content[ _-]?(filter|management|policy|exists risk)|data_?inspection_?failed"
+    r"|sensitive_?content|moderation|responsible_?ai|(input|prompt|request) (was |is )?(flagged|blocked))"
+)
+"""Codes and reasons of a refusal by a content filter."""
 _REMEDIES: Final = {
     401: "; put the server's key into ${key}",
     403: "; put a key that may use the model into ${key}",
     404: "; check --base-url (most end in /v1) and --model",
-    429: "; the key's account has no credit left",
 }
+_HINTS: Final = {
+    "temperature": "; if the model takes none, give --temperature none",
+    "chat_template_kwargs|enable_thinking": "; give --thinking template: requests then hold no chat_template_kwargs",
+    r"\bstream": "; replies must come whole: serve the model by a server that needs no stream",
+}
+"""Remedies by a regular expression for the reason of a refusal."""
 
 _LONGER_NAME: Final = "max_completion_tokens"
 """The newer name of `max_tokens`. A server that requires the newer name says so in its refusal."""
@@ -127,11 +140,15 @@ class Client:
         """Cost in dollars of the calls of this client and of the stored calls of earlier clients."""
         if options.price is not None and self._calls is not None:
             self._spent = options.price.cost(*self._calls.tokens())
+        self.estimates = 0
+        """Number of replies with estimated tokens."""
         self._longer_name = False
         self._pause = pause
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
         self._replies = 0
+        self.retries = 0
+        """Number of requests that were repeated."""
         self._bounds = bounds
         self._connections = Connections(self.base_url, bounds)
 
@@ -156,17 +173,17 @@ class Client:
 
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
+            FilteredError: If a content filter of the server refuses the request.
             RunStoppedError: If the server was busy or could not be reached for two minutes, and no other call succeeded
                 in this time. Also if the server refuses the key, if no credit is left, or if `max_cost` is spent.
         """
         request = self.options.request(self.model, self.convention, schema)
-        simulated = self.options.simulated
         if self._calls is None:
-            return self._send({**request, "messages": wire(messages, simulated)})
-        digest = self._calls.digest({**request, "messages": fingerprint(messages, simulated)})
+            return self._send(request, messages)
+        digest = self._calls.digest({**request, "messages": fingerprint(messages, self.options.simulated)})
         reply = self._calls.read(digest)
         if reply is None or not self._cacheable(reply):
-            reply = self._send({**request, "messages": wire(messages, simulated)})
+            reply = self._send(request, messages)
             if self._cacheable(reply):
                 self._calls.append(digest, reply)
         self._served.setdefault(reply.model)
@@ -190,9 +207,7 @@ class Client:
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
         """
-        sent = wire(messages, self.options.simulated)
-        request = {**self.options.request(self.model, self.convention, schema), "messages": sent}
-        return self._send(request, probe=True)
+        return self._send(self.options.request(self.model, self.convention, schema), messages, probe=True)
 
     def server_version(self) -> str:
         """Return the version that the server reports at `/version`, or "" if the server reports none."""
@@ -206,8 +221,8 @@ class Client:
             return ""
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
-    def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
-        """Send a request and return the reply.
+    def _send(self, request: Mapping[str, Any], messages: Sequence[Message], *, probe: bool = False) -> Reply:
+        """Send a request with messages and return the reply.
 
         If the server refuses the older name of the token limit, the request is sent again with the newer name.
         """
@@ -216,14 +231,15 @@ class Client:
             request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
         try:
             # The request is encoded only once, because it may hold megabytes of pictures.
-            return self._repeat(msgspec.json.encode(request), probe)
+            body = msgspec.json.encode({**request, "messages": wire(messages, self.options.simulated)})
+            return self._repeat(body, messages, probe)
         except EndpointError as error:
             if longer or self.options.token_parameter != AUTO or _LONGER_NAME not in str(error):
                 raise
         self._longer_name = True
-        return self._send(request, probe=probe)
+        return self._send(request, messages, probe=probe)
 
-    def _repeat(self, body: bytes, probe: bool) -> Reply:
+    def _repeat(self, body: bytes, messages: Sequence[Message], probe: bool) -> Reply:
         """Send a request until it gets a reply, is refused, or has failed too often. Return the reply."""
         from tenacity import Retrying, retry_if_exception, retry_if_exception_type, stop_after_attempt
 
@@ -237,6 +253,7 @@ class Client:
             stop=lambda state: state.idle_for >= patience_s,
             wait=_pause_s,
             sleep=self._pause,
+            before_sleep=self._count_retry,
             reraise=True,
         )
         repeating = waiting.copy(
@@ -244,22 +261,27 @@ class Client:
             stop=stop_after_attempt(retries + 1),
         )
         try:
-            return repeating(lambda: waiting(self._try, body, timeout_s))
+            return repeating(lambda: waiting(self._try, body, messages, timeout_s))
         except _BrokenError as broken:
             passing = isinstance(broken, _PassingError)
             # If no other call succeeded in this time, the calls of the next question would fail too.
-            kind = RunStoppedError if passing and self._replies == replies else EndpointError
+            kind = RunStoppedError if passing and not probe and self._replies == replies else EndpointError
             tries = (waiting if passing else repeating).statistics["attempt_number"]
             # A probe belongs to no run that could be resumed.
             resume = "" if probe else " (evaluate with --resume)"
             raise kind(f"{self.base_url}: {broken.reason} (tries: {tries}): {broken.remedy}{resume}") from None
 
-    def _try(self, body: bytes, timeout_s: float) -> Reply:
+    def _count_retry(self, state: RetryCallState) -> None:
+        with self._lock:
+            self.retries += 1
+
+    def _try(self, body: bytes, messages: Sequence[Message], timeout_s: float) -> Reply:
         import httpx2
 
         if self.options.max_cost is not None and self._spent >= self.options.max_cost:
+            spent = f"{self._spent:.4g} dollars" + " by estimated tokens (no usage is sent)" * bool(self.estimates)
             raise RunStoppedError(
-                f"the calls have cost {self._spent:.4g} dollars, and --max-cost is {self.options.max_cost:g}: "
+                f"the calls have cost {spent}, and --max-cost is {self.options.max_cost:g}: "
                 "give more, then run again with --resume"
             )
         sent, url = self._limit.admit(), address_of(self.base_url, "/chat/completions")
@@ -282,9 +304,11 @@ class Client:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
         self._served.setdefault(reply.model)
+        reply = with_tokens(reply, messages, self.convention)
         self._limit.count(sent, reply.prompt_tokens + reply.completion_tokens)
         with self._lock:
             self._replies += 1
+            self.estimates += reply.estimated
             if self.options.price is not None:
                 self._spent += self.options.price.cost(reply.prompt_tokens, reply.completion_tokens)
         return reply
@@ -292,16 +316,19 @@ class Client:
     def _refusal(self, error: ErrorReply, retry_after: str) -> Exception:
         """Return the exception to raise for a reply that reports an error."""
         reason = f"HTTP {error.status}: {self._one_line(error.reason.strip() or 'the server gives no reason')}"
-        busy = error.status in _BUSY and error.code != _NO_CREDIT
-        if busy or error.status >= 500:
+        stated = f"{error.code} {error.reason}"
+        # After a refusal for want of credit or of a valid key, the next question would be refused for the same reason.
+        if error.status == 402 or _NO_CREDIT.search(stated):
+            return RunStoppedError(f"{self.base_url}: {reason}; the key's account has no credit left")
+        busy = error.status in _BUSY
+        if busy or error.status >= 500 or error.status in _BROKEN:
             pause = float(retry_after) if _SECONDS.fullmatch(retry_after) else None
             return _PassingError(reason, _CROWDED, pause) if busy else _BrokenError(reason, pause=pause)
-        remedy = _REMEDIES.get(error.status, "").format(key=self.options.api_key_env)
-        if self.options.temperature is not None and "temperature" in error.reason:
-            remedy = "; if the model takes none, give --temperature none"
-        # After such a refusal, the next question would be refused for the same reason.
-        stops = error.status == 401 or error.code == _NO_CREDIT
-        return (RunStoppedError if stops else EndpointError)(f"{self.base_url}: {reason}{remedy}")
+        if _FILTERED.match(stated):
+            return FilteredError("refused: content filter")
+        hints = [hint for pattern, hint in _HINTS.items() if re.search(pattern, error.reason)]
+        remedy = [*hints, _REMEDIES.get(error.status, "").format(key=self.options.api_key_env)][0]
+        return (RunStoppedError if error.status == 401 else EndpointError)(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:
         # The key is hidden before the text is cut. Otherwise the beginning of a key could stay visible.

@@ -18,7 +18,8 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
     content, reasoning: the texts as sent. finish_reason: why the reply ended. model: the model id that the reply names.
     prompt_tokens, completion_tokens: the numbers of tokens that the server counted, 0 if unknown. refusal: the text
-    with which the model declines to answer.
+    with which the model declines to answer. estimated: whether the client estimated the numbers of tokens, because the
+    server counted none.
     """
 
     content: str = ""
@@ -28,6 +29,7 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
     prompt_tokens: int = 0
     completion_tokens: int = 0
     refusal: str = ""
+    estimated: bool = False
 
     @property
     def finished(self) -> bool:
@@ -127,8 +129,8 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
         reasoning=_text(text.reasoning_content) or _text(text.reasoning) or thinking,
         finish_reason=ended,
         model=(completion.model or "")[:_LONGEST_NAME],
-        prompt_tokens=_tokens(completion.usage, "prompt_tokens"),
-        completion_tokens=_tokens(completion.usage, "completion_tokens"),
+        prompt_tokens=_tokens(completion.usage, "prompt_tokens", "input_tokens"),
+        completion_tokens=_tokens(completion.usage, "completion_tokens", "output_tokens"),
         refusal=_text(text.refusal),
     )
 
@@ -173,10 +175,11 @@ def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _tokens(usage: object, name: str) -> int:
+def _tokens(usage: object, *names: str) -> int:
     """Return a count of tokens. If it is missing or invalid, return 0, because the reply itself may be valid."""
-    count = usage.get(name) if isinstance(usage, dict) else None
-    return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
+    counts: list[Any] = [usage.get(name) for name in names] if isinstance(usage, dict) else []
+    valid = (count for count in counts if type(count) in (int, float) and 0 < count <= _MOST_TOKENS)
+    return next((int(count) for count in valid if count == int(count)), 0)
 
 
 def answer_text(reply: Reply, convention: Convention) -> str:
