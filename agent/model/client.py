@@ -45,8 +45,6 @@ _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _BUSY: Final = (429, 498, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
-_BROKEN: Final = (408, 409, 424, 425, 499)
-"""Further statuses of failures that may be gone at the next attempt: time-outs, conflicts, failed dependencies."""
 _NO_CREDIT: Final = re.compile(r"(?i)insufficient_quota|insufficient (balance|credit|fund)|credit balance|arrearage")
 """Codes and reasons of a refusal if the account has no credit left, so that waiting does not help."""
 _FILTERED: Final = re.compile(
@@ -324,7 +322,8 @@ class Client:
         if error.status == 402 or _NO_CREDIT.search(stated):
             return RunStoppedError(f"{self.base_url}: {reason}; the key's account has no credit left")
         busy = error.status in _BUSY
-        if busy or error.status >= 500 or error.status in _BROKEN:
+        # Time-outs, conflicts and failed dependencies may be gone at the next attempt, as errors of the server may.
+        if busy or error.status >= 500 or error.status in (408, 409, 424, 425, 499):
             pause = float(retry_after) if _SECONDS.fullmatch(retry_after) else None
             return _PassingError(reason, _CROWDED, pause) if busy else _BrokenError(reason, pause=pause)
         if _FILTERED.match(stated):

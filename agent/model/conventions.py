@@ -131,7 +131,6 @@ class Convention:
             "scales": {key: self.reading(key).scale for key in self.boxes},
             "tolerance": TOLERANCE,
             "thinking": [list(pair) for pair in self.thinking],
-            "around": list(self.around),
             "resizing": {key: getattr(self, key) for key in ("multiple", "least_pixels", "image_pixels", "fills")},
         }
 

@@ -23,8 +23,6 @@ Dollars = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 _CHARACTERS: Final = 4
 """Usual number of characters per token."""
-_PIXELS: Final = 28 * 28
-"""Usual number of pixels per token, for a model whose convention does not declare its resizing."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,8 @@ def estimate_tokens(messages: Sequence[Message], convention: Convention) -> int:
     """
     parts = [part for message in messages for part in message.parts]
     sizes = [part.size for part in parts if isinstance(part, Picture)]
-    pictures = (convention.picture_tokens(*size) or size[0] * size[1] / _PIXELS for size in sizes)
+    # If the convention does not declare the resizing, a token has 28 x 28 pixels.
+    pictures = (convention.picture_tokens(*size) or size[0] * size[1] / 28**2 for size in sizes)
     return round(sum(len(part) for part in parts if isinstance(part, str)) / _CHARACTERS + sum(pictures))
 
 
