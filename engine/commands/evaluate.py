@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -20,15 +19,11 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.queries.manifest import is_public
-from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
 
 if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import RunResult
-    from jrdb_avr.engine.run.live_scores import LiveScore
     from jrdb_avr.queries.store import Store
-
-LOG_EVERY_S: Final = 30.0
-"""Minimum seconds between two printed lines of live scores if stderr is not a terminal."""
 
 
 class _Evaluation(NamedTuple):
@@ -66,13 +61,20 @@ class _Evaluation(NamedTuple):
     help="TOML file that describes several runs, or 'paper' for the runs of the paper. With --model, only the runs of "
     "this model. docs/models.md shows the format.",
 )
+@click.option(
+    "--plan",
+    is_flag=True,
+    help="Send nothing. Print the calls, pictures and tokens of each run with bounds, its hours at the rate of --tpm "
+    "and --rpm, and its cost by --prices.",
+)
 @form_option
-def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:
+def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **values: Any) -> None:
     """Let a method answer the questions of a store with a model, and record every step as a run.
 
     If the model's server needs a key, set the environment variable OPENAI_API_KEY to the key. Before the run, the
-    command makes the checks of 'preflight'. A run can be stopped at any time and continued with --resume. The exit code
-    is 1 if a run fails, or if a question ends in an error.
+    command makes the checks of 'preflight'. A run can be stopped at any time, scored as it is, and continued with
+    --resume. The progress shows the time left, tokens, dollars and repeated requests; without a terminal, as a line per
+    minute. The exit code is 1 if a run fails, or if a question ends in an error.
 
     Examples:
       jrdb-avr evaluate --store S --method react --model simulated
@@ -87,11 +89,17 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     """
     from jrdb_avr.agent.simulated.profiles import profile_of
     from jrdb_avr.engine.report.formats import filled
+    from jrdb_avr.engine.run.effort import estimate
 
     runs = [values] if matrix is None else matrix_runs(matrix, click.get_current_context(), values)
-    evaluations = [(_evaluation(run), run["epochs"], run["scores"]) for run in runs]
+    evaluations = [(_evaluation(run, plan), run["epochs"], run["scores"]) for run in runs]
     _check_names(store, [evaluation for evaluation, _, _ in evaluations])
     epochs = [(epoch, scores) for evaluation, count, scores in evaluations for epoch in _epochs(evaluation, count)]
+    if plan:
+        efforts = [estimate(store, *evaluation).row(text=not form) for evaluation, _ in epochs]
+        print_rows(filled(efforts), title="Plan: expected totals (lower to upper bound)", form=form)
+        note("synthetic: texts, and all figures of methods that choose their calls, are measured with simulated models")
+        return
     results: list[RunResult] = []
     for evaluation, scores in epochs:
         try:
@@ -144,8 +152,11 @@ def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
             raise click.UsageError(f"two runs are named {name}: give each a [[run]] of its own, with a run-id")
 
 
-def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
-    """Return the arguments of `evaluate` for one run. Raise UsageError if options contradict each other."""
+def _evaluation(values: Mapping[str, Any], plan: bool) -> _Evaluation:
+    """Return the arguments of `evaluate` for one run. Raise UsageError if options contradict each other.
+
+    A plan needs no address of a server.
+    """
     from jrdb_avr.agent.model.prices import read_price
     from jrdb_avr.engine.run.evaluate import check_options
 
@@ -153,7 +164,7 @@ def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
     for name in ("method", "model"):
         if values[name] is None:
             raise click.UsageError(f"Missing option '--{name}'.")
-    if model != NO_MODEL:
+    if model != NO_MODEL and not plan:
         check_address(model, values["base_url"])
     price = None if values["price"] is None else read_price(values["price"], model)
     filled = {**values, "price": price}
@@ -182,18 +193,28 @@ def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
 
 
 def _evaluate(store: Store, evaluation: _Evaluation, scores: bool | None) -> RunResult:
-    from jrdb_avr.engine.run.evaluate import evaluate
+    from jrdb_avr.engine.run.evaluate import evaluate, name_run
 
-    terminal = sys.stderr.isatty()
-    latest, printed = "", 0.0
+    texts: dict[str, object] = {}
+    done = total = 0
+    show = scores or (scores is None and sys.stderr.isatty())
+    with progress_bar(lambda: "; ".join(map(str, texts.values()))) as progress:
 
-    def report(score: LiveScore) -> None:
-        nonlocal latest, printed
-        latest = str(score)
-        if not terminal and time.monotonic() >= printed + LOG_EVERY_S:
-            printed = time.monotonic()
-            note(f"so far: {latest}")
+        def advance(title: str, *counts: int) -> None:
+            nonlocal done, total
+            done, total = counts
+            progress(title, done, total)
 
-    live_scores = report if scores or (scores is None and terminal) else None
-    with progress_bar(lambda: latest) as progress:
-        return evaluate(store, *evaluation, progress=progress, live_scores=live_scores)
+        try:
+            return evaluate(
+                store,
+                *evaluation,
+                progress=advance,
+                usage=lambda text: texts.update(usage=text),
+                live_scores=(lambda score: texts.update(scores=score)) if show else None,
+            )
+        except (KeyboardInterrupt, RunStoppedError):
+            run_id = name_run(store, *evaluation)
+            steps = f"; or score what is finished: {scoring_steps(store.path, run_id)}" if done else ""
+            note(f"{run_id}: {done} of {total} questions are finished; go on: the same command with --resume{steps}")
+            raise

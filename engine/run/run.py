@@ -2,7 +2,7 @@
 
 runs/<run_id>/run.json                    the manifest, written first: questions, method, model and settings
 runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, written when the question finishes
-runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
+runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends or stops
 """
 
 from __future__ import annotations
@@ -143,6 +143,22 @@ class Run(Journal):
             self._over = True
         ids = read_run_manifest(self.store, self.run_id).question_ids
         return write_tables(self.store, self.run_id, self.finished.of(ids))
+
+
+def write_partial(store: Store, run_id: str) -> None:
+    """Write the tables of the finished questions if a run has none, because its process was killed.
+
+    Args:
+        store: The store of the run.
+        run_id: The id of the run.
+
+    Raises:
+        LockedError: If the run is in progress.
+    """
+    if has_manifest(store, run_id) and not (store.run_path(run_id) / "predictions.parquet").exists():
+        with Run(store, run_id) as run:
+            if run.finished:
+                run.finish()
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:

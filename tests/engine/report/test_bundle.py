@@ -237,6 +237,10 @@ def test_bundles_are_ranked_among_those_of_the_same_questions(store, tmp_path):
     found = [[(row["rank"], row["run"], row["n"]) for _, row in entries] for entries in board.sets]
     assert found == [[(1, "r", 13), (1, "r", 13), (1, "same", 13), (4, "worse", 13)], [(1, "few", 1)]]
     assert len({row["questions"] for _, row in board.sets[0]}) == 1
+    store.write_run("same", "predictions", read_table(store.run_path("same") / "predictions.parquet").slice(0, 2))
+    partial = write_bundle(store, "same", tmp_path / "partial").folder
+    rows = leaderboard(store, [partial, folders[1]]).rows
+    assert [(row["rank"], row["run"], row["n"]) for row in rows] == [(1, "worse", 13), (None, "same", 2)]
     assert board.sets[0][0][1]["questions"] != board.sets[1][0][1]["questions"]
     for bundle, ranked in (entry for entries in board.sets for entry in entries):
         (row,) = score_bundles(store, [bundle.folder]).rows
