@@ -1,10 +1,11 @@
 """Decode a model's reply. The rules are strict, and the same for every method.
 
 A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if declared
-delimiters enclose the thinking. A box is four numbers under a key. The model's convention, which is fixed before the
-first reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are
-not swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded
-independently, so one of them can be valid even if the other is not. No function here gets a true answer or a true box.
+delimiters enclose the thinking. Other declared delimiters may begin and end the object. A box is four numbers under a
+key. The model's convention, which is fixed before the first reply, says how to read the four numbers. Decoding repairs
+and guesses nothing. For example, reversed corners are not swapped. An invalid part raises a DecodeError with the
+reason. The answer and the evidence are decoded independently, so one of them can be valid even if the other is not. No
+function here gets a true answer or a true box.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def write_box(box: Box, size: Size) -> list[int]:
     return [min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners]
 
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Version of the contract in every run's manifest. It is increased when the way of reading replies changes."""
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
@@ -402,36 +403,3 @@ def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
         The schema.
     """
     return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
-
-
-FRAME_ID_SCHEMA: Final[dict[str, Any]] = {"type": "string", "pattern": "^[0-9]{6}$"}
-
-EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
-    "type": "array",
-    "minItems": 1,
-    "maxItems": 1,
-    "items": closed_object({"frame_id": FRAME_ID_SCHEMA, CONTRACT_KEY: BOX_SCHEMA}),
-}
-
-
-_PART_SCHEMAS: Final[dict[Kind, dict[str, Any]]] = {
-    "frame": FRAME_ID_SCHEMA,
-    "angle": {"type": "number"},
-    "decimal": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"},
-}
-
-
-def answer_schema(mode: AnswerMode, choices: Sequence[str]) -> dict[str, Any]:
-    """Return the JSON Schema of the `answer` part of a reply.
-
-    Args:
-        mode: The question's answer mode.
-        choices: The question's choices.
-
-    Returns:
-        The schema.
-    """
-    record = MODES[mode]
-    if record.is_choice:
-        return {"type": "integer", "minimum": 1, "maximum": len(choices)}
-    return closed_object({part.key: _PART_SCHEMAS[part.kind] for part in record.parts})
