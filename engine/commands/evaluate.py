@@ -20,6 +20,7 @@ from jrdb_avr.engine.run.methods import METHODS, NO_MODEL
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.queries.manifest import is_public
 from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
+from jrdb_avr.schema.method import DIAGNOSTIC
 
 if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import RunResult
@@ -37,7 +38,8 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--method",
     metavar="METHOD",
-    help=f"The method: {', '.join(METHODS)}, or a custom method as FILE.py:NAME or MODULE:NAME.",
+    help=f"The method: {', '.join(METHODS)}; a diagnostic method: {', '.join(DIAGNOSTIC)}; or a custom method as "
+    "FILE.py:NAME or MODULE:NAME.",
 )
 @model_option(" For a custom method without a model, give 'none'.", required=False)
 @field_options(EndpointOptions)

@@ -281,7 +281,9 @@ def _name(run: ScoredRun) -> tuple[str, str, str]:
 
 
 def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
-    """Sort runs by their combined score, the best run first. Partial runs come last, because they cannot be ranked.
+    """Sort runs by their combined score, the best run first.
+
+    Partial and diagnostic runs come last, because they are not ranked.
 
     Args:
         runs: Scored runs.
@@ -290,7 +292,12 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
         The sorted runs. Runs with equal scores are in the order of method, model and run id.
     """
     return sorted(
-        runs, key=lambda run: ("partial" in run.label, -run.scores[:, 2].mean() if run.n else 0.0, *_name(run))
+        runs,
+        key=lambda run: (
+            "partial" in run.label or "diagnostic" in run.label,
+            -run.scores[:, 2].mean() if run.n else 0.0,
+            *_name(run),
+        ),
     )
 
 
@@ -305,6 +312,19 @@ PAPER_TABLES: Final = {
 }
 """Titles of the tables that have the paper's figures beside the figures of the store, by name."""
 
-TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS, *PAPER_TABLES)
+TABLES: Final = (
+    "main",
+    "twins",
+    *DIMENSIONS,
+    "iou",
+    "ablation",
+    "gaps",
+    "looks",
+    "pairs",
+    "people",
+    "epochs",
+    *RESULTS,
+    *PAPER_TABLES,
+)
 """Names of all tables. `main` has the scores with intervals. `twins` is empty if the questions have no time twins. A
 dimension's table has the scores per value."""
