@@ -22,20 +22,20 @@ BUDGETS = {
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1560,
-    "engine/report": 1175,
+    "engine/run": 1640,
+    "engine/report": 1190,
     "engine/pages": 1150,
     "engine/integrations": 600,
     "engine/commands": 1400,
     "engine": 350,
     "agent/model": 1250,
-    "agent/methods": 460,
+    "agent/methods": 495,
     "agent/simulated": 950,
     "agent": 2750,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_000
+TOTAL = 26_100
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {
