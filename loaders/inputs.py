@@ -10,8 +10,8 @@ from typing import Final
 
 from jrdb_avr.schema.errors import InputError
 
-_MARKS: Final = {
-    "utf-8-sig": codecs.BOM_UTF8,
+_MARKS: Final[dict[str, tuple[bytes, ...]]] = {
+    "utf-8-sig": (codecs.BOM_UTF8,),
     "utf-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
     "utf-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
 }
