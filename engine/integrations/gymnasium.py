@@ -211,7 +211,7 @@ class QuestionEnv(gymnasium.Env):
 
 
 def _index(share: Any, count: int) -> int:
-    """Return the index in [0, count) that a number in [0, 1] represents. Each index has an equal part of the interval."""
+    """Return the index in [0, count) that a number in [0, 1] represents. Each index has an equal part of [0, 1]."""
     return min(int(float(share) * count), count - 1)
 
 
