@@ -76,7 +76,8 @@ def score(
     multiple=True,
     metavar="NAME",
     help="main and twins (default), ablation, pairs, people, epochs, evidence_failures, cost, all, or a "
-    "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
+    "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg, sequence, or a column of "
+    "imported questions. May be repeated.",
 )
 @click.option("--paper", is_flag=True, help="Add the paper's scores as rows with the label 'paper'.")
 @iou_option
@@ -117,17 +118,16 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         return
 
     from jrdb_avr.engine.report import comparison, formats
-    from jrdb_avr.engine.report.tables import TABLES
     from jrdb_avr.schema.errors import did_you_mean
 
-    names = TABLES if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
-    for name in names:
-        if name not in TABLES:
-            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*TABLES, 'all'))}")
-    if form == "csv" and len(names) > 1:
+    if form == "csv" and (len(tables) > 1 or "all" in tables):
         raise click.UsageError("--csv prints one table: give one --table")
     with warnings_as_notes():
         result = comparison.report(store, options["runs"], iou=iou, paper=paper)
+    names = result.names if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
+    for name in names:
+        if name not in result.names:
+            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*result.names, 'all'))}")
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page

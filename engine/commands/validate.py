@@ -41,5 +41,7 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
             note(f"{name}: {fault}")
         if len(faults) > 20:
             note(f"{name}: {len(faults) - 20} more")
+    if store.is_imported():
+        note("imported questions have no plans: no answer was derived again, and no text or proof was checked")
     if not result.sound:
         sys.exit(1)

@@ -103,6 +103,7 @@ def generate(
         InputError: An option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
+    store.refuse_imported("load the annotations into another store, and generate there")
     held_out, extents = _held_out(store, profile, n, disjoint_from)
     rules = training_rules(rules) if profile == TRAIN else rules
     check_load_rules(store, rules)

@@ -43,6 +43,10 @@ _ABOUT_NAMES: Final = (
     [("sequence", "Its opaque name."), ("name", "Its name in JRDB.")],
 )
 
+_IMPORTED: Final = (
+    "Questions about people in 360-degree video that a mobile robot recorded. Another program wrote them; jrdb-avr "
+    "checked their form and their boxes, and proved no answer. The publisher keeps answers and boxes for scoring."
+)
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 
 
@@ -84,7 +88,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     generation = (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
     metadata = {"canary": CANARY, GENERATION_KEY: generation}
     day = published or datetime.datetime.now(datetime.UTC).date()
-    release = Release(f"{__version__}+{generation[:12]}", day, creator, url)
+    summary, rai = (_IMPORTED, {}) if store.is_imported() else (card.SUMMARY, card.RAI)
+    release = Release(f"{__version__}+{generation[:12]}", day, creator, url, summary, rai)
 
     (private / "data").mkdir(parents=True)
     for name in _PRIVATE:
@@ -108,16 +113,14 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
         "card.md",
         head=_front(_head(len(questions), sources) | _configs(tables)),
         synthetic=card.SYNTHETIC if card.SAMPLE in sources else "",
-        summary=card.SUMMARY,
         sequences=len(sequences),
         counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
         tables=_columns(tables),
         evidence=dict(sorted(evidence.items())),
-        blind=check_store(store, question_texts(questions, answers)),
+        blind=[] if store.is_imported() else check_store(store, question_texts(questions, answers)),
         counting=COUNTING,
         sources=sources,
         home=card.HOME,
-        rai=card.RAI,
         cite=card.CITE,
         **shared,
     )

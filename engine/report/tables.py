@@ -6,7 +6,7 @@ Scores are in percent of `n`, the number of questions. If `n` is 0, a score is N
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -65,7 +65,8 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
     statistics["hallucination"] = mean_ratio((4, 1))
     column = base.shape[1]
     for title, dimension in (("families", "family"), ("groups", "group")):
-        labels = index.labels[dimension]
+        if (labels := index.labels.get(dimension)) is None:
+            continue
         count = len(labels.names)
         parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, base[:, :4])
         sums.append(parts.reshape(len(sequences), 4 * count))
@@ -149,7 +150,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
     Args:
         index: The questions of the store, with their labels.
         runs: Scored runs.
-        dimension: A name of `DIMENSIONS`.
+        dimension: A name of `index.labels`.
 
     Returns:
         For each value, one row per run that has questions with this value.
@@ -313,6 +314,14 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
 RESULTS: Final = ("evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
 
-TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
-"""Names of all tables. `main` has the scores with intervals. `twins` is empty if the questions have no time twins. A
-dimension's table has the scores per value."""
+
+def tables_of(dimensions: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of all tables of questions with labels for these dimensions."""
+    return "main", "twins", *dimensions, "ablation", "pairs", "people", "epochs", *RESULTS
+
+
+TABLES: Final = tables_of(DIMENSIONS)
+"""Names of all tables of generated questions.
+
+`main` has the scores with intervals. `twins` is empty if the questions have no time twins. A dimension's table has the
+scores per value."""

@@ -79,6 +79,7 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
         StoreError: If the store has no questions or no intervals.
         InputError: If nothing can be learned from the other store.
     """
+    store.refuse_imported("count them with 'jrdb-avr sql'")
     questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
     store.warn_of_training()
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
