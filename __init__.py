@@ -23,7 +23,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _STUB: Final = Path(__file__).with_suffix(".pyi")
 _MODULES: Final[dict[str, str]] = {

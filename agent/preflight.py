@@ -9,7 +9,7 @@
     plan      the server takes the schema of a plan (only if schemas are sent)
     thinking  replies hold thinking if the options declare thinking on, and none if they declare thinking off
     finish    replies state why they ended, so that a reply that was cut off can be recognized
-    tokens    the server counts tokens (a warning: the run's counts would be 0)
+    tokens    the server counts tokens (a warning: the run's counts would be estimates)
     model     replies name the requested model (a warning: the run records the name)
 
 By default, a failed check is only a warning in the manifest of the run, so that weak models are scored too. `require`
@@ -44,7 +44,7 @@ from jrdb_avr.agent.model.reply import Reply, thinking_text
 from jrdb_avr.agent.reference.loop import LIMITS
 from jrdb_avr.agent.reference.planning import plan_form
 from jrdb_avr.agent.reference.tools import world_schema
-from jrdb_avr.schema.errors import DecodeError, EndpointError
+from jrdb_avr.schema.errors import DecodeError, EndpointError, RunStoppedError
 from jrdb_avr.schema.method import Panorama, Question
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
@@ -102,6 +102,7 @@ def preflight(client: Client) -> list[Check]:
 
     Raises:
         EndpointError: If the server sends no reply.
+        RunStoppedError: If the server refuses the key, if no credit is left, or if `max_cost` is spent.
     """
     return list(_checks(client))
 
@@ -144,6 +145,8 @@ def _send(client: Client, system: bool, *parts: Part, schema: Mapping[str, Any] 
     before = [Message("system", (render("preflight_system"),))] if system else []
     try:
         reply = client.probe([*before, Message("user", parts)], schema)
+    except RunStoppedError:
+        raise
     except EndpointError as error:
         return _Probe(None, fault=f"refused ({error})")
     try:
@@ -190,9 +193,9 @@ def _checks(client: Client) -> Iterator[Check]:
     )
     yield Check(
         "tokens",
-        text.prompt_tokens > 0 and text.completion_tokens > 0,
-        f"{text.prompt_tokens} + {text.completion_tokens} tokens",
-        "have the server send usage; until then the run counts 0 tokens",
+        not text.estimated,
+        "the server counts none" if text.estimated else f"{text.prompt_tokens} + {text.completion_tokens} tokens",
+        "have the server send usage; until then the tokens and the costs of the run are estimates",
         needed=False,
     )
     yield Check(

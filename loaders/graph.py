@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.queries import workers as processes
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.store import Store, safe_sequence
+from jrdb_avr.queries.store import Store, read_table, safe_sequence
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS, STORAGE_VERSION, scene_ddl
 from jrdb_avr.schema.labels import ACTIONS, POSES
@@ -77,7 +77,7 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
                 graph.execute(statement)
         names: set[str] = set()
         for path in (stage / "Person Performs").glob("*.parquet"):
-            names |= set(pq.read_table(path, columns=["to"])["to"].unique().to_pylist())
+            names |= set(read_table(path, ["to"])["to"].unique().to_pylist())
         stage_rows(stage, "Action", sequences[0], _actions(names))
         copied = copy_staged(graph, stage, ("Action", *_SOURCES), sequences)
     finally:
@@ -151,7 +151,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in NODES:
                 # The engine reads files in parallel, which changes the order of nodes. One table keeps the order.
-                graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
+                graph.copy(table, pa.concat_tables(read_table(stage / source / name) for name in files))
             else:
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
             copied[table] += rows

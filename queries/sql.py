@@ -179,8 +179,10 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
             paths = [_quoted(str(path.resolve())) for path in files]
             allowed += paths
             listed = f"[{', '.join(paths)}]"
-            read = f"read_json({listed}, columns={{{_RUN_COLUMNS}}})" if name == "runs" else f"read_parquet({listed})"
-            make(name, f"SELECT * FROM {read}", f"cannot read the files of {name}")  # noqa: S608
+            kind = f"read_json({listed}, columns={{{_RUN_COLUMNS}}}" if name == "runs" else f"read_parquet({listed}"
+            # DuckDB would otherwise replace a column by the value of a folder that is called `column=value`.
+            query = f"SELECT * FROM {kind}, hive_partitioning=false)"  # noqa: S608
+            make(name, query, f"cannot read the files of {name}")
         else:
             connection.register(name, schema.empty_table())
     for name, query in JOINED.items():

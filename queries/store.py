@@ -334,7 +334,8 @@ class Store(Displayed):
         """
         lock = self.path / ".writing"
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
+            # Labels give the answers back, so other users of the machine may read nothing of a new store.
+            self.path.mkdir(0o700, parents=True, exist_ok=True)
             file = lock.open("a+")
         except OSError as error:
             raise StoreError(f"cannot write to {self.path}: {error.strerror}; choose another --store") from None

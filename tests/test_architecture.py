@@ -147,6 +147,17 @@ def test_cypher_of_the_search_is_short_and_in_files():
     assert {name.rpartition(".")[0] for name in writers} == {"queries.compiler", "queries.graph"}
 
 
+def test_no_column_of_a_parquet_file_is_replaced_by_the_name_of_a_folder():
+    """DuckDB and `pyarrow.parquet.read_table` take a folder `run_id=7` as a column; `ParquetFile` does not."""
+    texts = {name: path.read_text("utf-8") for name, path in modules().items()}
+    texts |= {path.name: path.read_text("utf-8") for path in (ROOT / "queries").rglob("*.sql")}
+    reads = {name: len(re.findall(r"(read_parquet|parquet_scan|read_json\w*)\(", text)) for name, text in texts.items()}
+    assert {name: count for name, count in reads.items() if count} == {"queries.sql": 2}
+    assert "hive_partitioning=false" in texts["queries.sql"]
+    guessing = re.compile(r"\bpq\.read_(table|pandas)|ParquetDataset|pyarrow\.dataset|FROM '[^']*parquet'")
+    assert [name for name, text in texts.items() if guessing.search(text)] == []
+
+
 def texts_in(path):
     """The texts of a module but its docstrings."""
     nodes = [*ast.walk(parsed(path))]

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import cv2
@@ -137,6 +138,28 @@ def test_two_commands_set_it_up():
     ]
     # The command of the README is the one that runs for every change.
     assert blocks(README, "sh")[1] in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_the_version_is_the_same_in_every_file():
+    texts = {
+        name: (ROOT / name).read_text("utf-8")
+        for name in ("pyproject.toml", "__init__.py", "CITATION.cff", "CHANGELOG.md")
+    }
+    versions = {
+        name: re.search(r'^(?:__version__ = "|version = "|version: |## )(\d+\.\d+\.\d+)"?$', text, flags=re.M)[1]
+        for name, text in texts.items()
+    }
+    assert len(set(versions.values())) == 1, versions
+    assert tomllib.loads(texts["pyproject.toml"])["project"]["authors"][0]["name"] in texts["CITATION.cff"]
+
+
+def test_the_image_is_set_up_as_the_readme_says():
+    # `tests/package.sh` runs these lines in the gate.
+    assert re.findall(r"^RUN (.*)", (ROOT / "Dockerfile").read_text("utf-8"), flags=re.M) == [
+        "pip install --no-cache-dir /src"
+    ]
+    assert " pip install . && jrdb-avr demo" in blocks(README, "sh")[0]
+    assert "tests/package.sh" in (ROOT / ".ci" / "run").read_text().splitlines()
 
 
 def test_the_readme_is_short():

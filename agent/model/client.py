@@ -25,6 +25,7 @@ from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
 from jrdb_avr.agent.model.options import AUTO, DEFAULTS, EndpointOptions
+from jrdb_avr.agent.model.prices import with_tokens
 from jrdb_avr.agent.model.reply import ErrorReply, Reply, answer_text, read_completion
 from jrdb_avr.agent.model.transport import BOUNDS, Bounds, Connections, Credentials, address_of, checked_url
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError
@@ -127,6 +128,8 @@ class Client:
         """Cost in dollars of the calls of this client and of the stored calls of earlier clients."""
         if options.price is not None and self._calls is not None:
             self._spent = options.price.cost(*self._calls.tokens())
+        self.estimates = 0
+        """Number of replies with estimated tokens."""
         self._longer_name = False
         self._pause = pause
         self._served: dict[str, None] = {}
@@ -160,13 +163,12 @@ class Client:
                 in this time. Also if the server refuses the key, if no credit is left, or if `max_cost` is spent.
         """
         request = self.options.request(self.model, self.convention, schema)
-        simulated = self.options.simulated
         if self._calls is None:
-            return self._send({**request, "messages": wire(messages, simulated)})
-        digest = self._calls.digest({**request, "messages": fingerprint(messages, simulated)})
+            return self._send(request, messages)
+        digest = self._calls.digest({**request, "messages": fingerprint(messages, self.options.simulated)})
         reply = self._calls.read(digest)
         if reply is None or not self._cacheable(reply):
-            reply = self._send({**request, "messages": wire(messages, simulated)})
+            reply = self._send(request, messages)
             if self._cacheable(reply):
                 self._calls.append(digest, reply)
         self._served.setdefault(reply.model)
@@ -190,9 +192,7 @@ class Client:
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
         """
-        sent = wire(messages, self.options.simulated)
-        request = {**self.options.request(self.model, self.convention, schema), "messages": sent}
-        return self._send(request, probe=True)
+        return self._send(self.options.request(self.model, self.convention, schema), messages, probe=True)
 
     def server_version(self) -> str:
         """Return the version that the server reports at `/version`, or "" if the server reports none."""
@@ -206,8 +206,8 @@ class Client:
             return ""
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
-    def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
-        """Send a request and return the reply.
+    def _send(self, request: Mapping[str, Any], messages: Sequence[Message], *, probe: bool = False) -> Reply:
+        """Send a request with messages and return the reply.
 
         If the server refuses the older name of the token limit, the request is sent again with the newer name.
         """
@@ -216,14 +216,15 @@ class Client:
             request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
         try:
             # The request is encoded only once, because it may hold megabytes of pictures.
-            return self._repeat(msgspec.json.encode(request), probe)
+            body = msgspec.json.encode({**request, "messages": wire(messages, self.options.simulated)})
+            return self._repeat(body, messages, probe)
         except EndpointError as error:
             if longer or self.options.token_parameter != AUTO or _LONGER_NAME not in str(error):
                 raise
         self._longer_name = True
-        return self._send(request, probe=probe)
+        return self._send(request, messages, probe=probe)
 
-    def _repeat(self, body: bytes, probe: bool) -> Reply:
+    def _repeat(self, body: bytes, messages: Sequence[Message], probe: bool) -> Reply:
         """Send a request until it gets a reply, is refused, or has failed too often. Return the reply."""
         from tenacity import Retrying, retry_if_exception, retry_if_exception_type, stop_after_attempt
 
@@ -244,22 +245,23 @@ class Client:
             stop=stop_after_attempt(retries + 1),
         )
         try:
-            return repeating(lambda: waiting(self._try, body, timeout_s))
+            return repeating(lambda: waiting(self._try, body, messages, timeout_s))
         except _BrokenError as broken:
             passing = isinstance(broken, _PassingError)
             # If no other call succeeded in this time, the calls of the next question would fail too.
-            kind = RunStoppedError if passing and self._replies == replies else EndpointError
+            kind = RunStoppedError if passing and not probe and self._replies == replies else EndpointError
             tries = (waiting if passing else repeating).statistics["attempt_number"]
             # A probe belongs to no run that could be resumed.
             resume = "" if probe else " (evaluate with --resume)"
             raise kind(f"{self.base_url}: {broken.reason} (tries: {tries}): {broken.remedy}{resume}") from None
 
-    def _try(self, body: bytes, timeout_s: float) -> Reply:
+    def _try(self, body: bytes, messages: Sequence[Message], timeout_s: float) -> Reply:
         import httpx2
 
         if self.options.max_cost is not None and self._spent >= self.options.max_cost:
+            spent = f"{self._spent:.4g} dollars" + " by estimated tokens (no usage is sent)" * bool(self.estimates)
             raise RunStoppedError(
-                f"the calls have cost {self._spent:.4g} dollars, and --max-cost is {self.options.max_cost:g}: "
+                f"the calls have cost {spent}, and --max-cost is {self.options.max_cost:g}: "
                 "give more, then run again with --resume"
             )
         sent, url = self._limit.admit(), address_of(self.base_url, "/chat/completions")
@@ -282,9 +284,11 @@ class Client:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
         self._served.setdefault(reply.model)
+        reply = with_tokens(reply, messages, self.convention)
         self._limit.count(sent, reply.prompt_tokens + reply.completion_tokens)
         with self._lock:
             self._replies += 1
+            self.estimates += reply.estimated
             if self.options.price is not None:
                 self._spent += self.options.price.cost(reply.prompt_tokens, reply.completion_tokens)
         return reply

@@ -8,8 +8,9 @@ rectangles. It never depends on the true boxes of questions.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
@@ -45,8 +46,9 @@ class Convention:
     `scales`, its numbers are in thousandths of the image. thinking: pairs of delimiters that open and close the
     thinking in a reply. thinks: whether the chat template makes the model think by default, None if unknown. switches:
     whether `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple: the model resizes images so
-    that both sides are multiples of this number of pixels. image_pixels: the maximum number of pixels of a resized
-    image, 0 if unknown. calibrated: whether `calibrate` found the orders and scales.
+    that both sides are multiples of this number of pixels. A square of this side becomes a token. least_pixels and
+    image_pixels: the minimum and maximum number of pixels of a resized image, 0 if unknown. fills: whether the model
+    enlarges all images to the maximum. calibrated: whether `calibrate` found the orders and scales.
     """
 
     name: str
@@ -56,7 +58,9 @@ class Convention:
     switches: bool = False
     scales: Mapping[str, Scale] = field(default_factory=dict)
     multiple: int = 1
+    least_pixels: int = 0
     image_pixels: int = 0
+    fills: bool = False
     calibrated: bool = False
 
     def reading(self, key: str) -> Reading:
@@ -81,9 +85,29 @@ class Convention:
         Returns:
             Width and height in pixels.
         """
-        shrink = min(1.0, (self.image_pixels / (width * height)) ** 0.5) if self.image_pixels else 1.0
-        across, down = (max(round(side * shrink / self.multiple), 1) * float(self.multiple) for side in (width, height))
-        return across, down
+        rounding: Callable[[float], int] = round
+        scale, pixels = 1.0, self._multiples(width) * self._multiples(height)
+        if self.fills or pixels > self.image_pixels > 0:
+            rounding, scale = math.floor, math.sqrt(self.image_pixels / (width * height))
+        elif pixels < self.least_pixels:
+            rounding, scale = math.ceil, math.sqrt(self.least_pixels / (width * height))
+        return self._multiples(width * scale, rounding), self._multiples(height * scale, rounding)
+
+    def picture_tokens(self, width: int, height: int) -> int | None:
+        """Return the number of tokens of a picture, without the tokens that delimit it.
+
+        Args:
+            width: The picture's width in pixels.
+            height: The picture's height in pixels.
+
+        Returns:
+            The number of tokens, None if the resizing of the family is not declared.
+        """
+        across, down = self.resized(width, height)
+        return round(across * down / self.multiple**2) if self.multiple > 1 else None
+
+    def _multiples(self, side: float, rounding: Callable[[float], int] = round) -> float:
+        return float(max(rounding(side / self.multiple), 1) * self.multiple)
 
     def settings(self) -> dict[str, Any]:
         """Return the convention as a run's manifest records it."""
@@ -94,14 +118,14 @@ class Convention:
             "scales": {key: self.reading(key).scale for key in self.boxes},
             "tolerance": TOLERANCE,
             "thinking": [list(pair) for pair in self.thinking],
-            "resizing": {"multiple": self.multiple, "image_pixels": self.image_pixels},
+            "resizing": {key: getattr(self, key) for key in ("multiple", "least_pixels", "image_pixels", "fills")},
         }
 
 
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
 """Convention of models from families without a declared convention."""
 
-# By default, an image becomes at most 280 tokens of 48 x 48 pixels. A panorama shrinks to about 60 % of each side.
+# By default, an image becomes at most 280 tokens of 48 x 48 pixels. docs/servers.md names the sources of the resizing.
 _GEMMA_4: Final = Convention(
     "gemma-4",
     {CONTRACT_KEY: "xyxy", "box_2d": "yxyx"},
@@ -110,9 +134,16 @@ _GEMMA_4: Final = Convention(
     switches=True,
     multiple=48,
     image_pixels=280 * 48 * 48,
+    fills=True,
 )
 _QWEN3_VL: Final = Convention(
-    "qwen3-vl", {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"}, (("<think>", "</think>"),), thinks=False, multiple=32
+    "qwen3-vl",
+    {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"},
+    (("<think>", "</think>"),),
+    thinks=False,
+    multiple=32,
+    least_pixels=64 * 32 * 32,
+    image_pixels=16_384 * 32 * 32,
 )
 _QWEN3_5: Final = replace(_QWEN3_VL, name="qwen3.5", thinks=True, switches=True)
 # This model differs from Qwen3-VL: its chat template always starts the reply with thinking.

@@ -153,8 +153,8 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
         raise DecodeError(f"the model refused: {_plain(reply.refusal)}")
     if reply.finish_reason == "length":
         raise DecodeError("the reply was cut off at the token limit (finish_reason length)")
-    if reply.finish_reason not in ("stop", ""):
-        raise DecodeError(f"the reply ended with finish_reason {_plain(reply.finish_reason)!r}, not 'stop'")
+    if reply.finish_reason == "content_filter":
+        raise DecodeError("refused: content filter")
     text = answer_text(reply, convention)
     if not text:
         raise DecodeError(f"the reply is empty{_instead(reply)}")
@@ -172,7 +172,7 @@ def _instead(reply: Reply) -> str:
         return " after its thinking"
     if reply.reasoning.strip():
         return ": everything stands in its reasoning, out of which no answer is taken"
-    return ""
+    return "" if reply.finish_reason in ("stop", "") else f" (finish_reason {_plain(reply.finish_reason)!r})"
 
 
 def _object(text: str) -> dict[str, Any]:

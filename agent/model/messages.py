@@ -37,6 +37,15 @@ class Picture:
         object.__setattr__(self, "uri", "data:image/jpeg;base64," + base64.b64encode(self.data).decode())
         object.__setattr__(self, "digest", "sha256:" + hashlib.sha256(self.data).hexdigest())
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, rounded up to multiples of 8. They are (0, 0) if the picture is broken."""
+        import cv2
+        import numpy as np
+
+        image = cv2.imdecode(np.frombuffer(self.data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8)
+        return (0, 0) if image is None else (8 * image.shape[1], 8 * image.shape[0])
+
 
 Part = str | Picture
 

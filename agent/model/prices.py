@@ -1,4 +1,4 @@
-"""Prices of models, in dollars per million tokens, from a TOML file.
+"""Estimates of tokens, and prices of models, in dollars per million tokens, from a TOML file.
 
 ["Qwen/Qwen3-VL-8B-Instruct"]
 input = 0.1
@@ -7,15 +7,24 @@ output = 0.4
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 
+from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import InputError
 
 Dollars = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
+
+_CHARACTERS: Final = 4
+"""Usual number of characters per token."""
+_PIXELS: Final = 28 * 28
+"""Usual number of pixels per token, for a model whose convention does not declare its resizing."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +48,44 @@ class Price:
             The cost in dollars.
         """
         return (prompt_tokens * self.input + completion_tokens * self.output) / 1e6
+
+
+def estimate_tokens(messages: Sequence[Message], convention: Convention) -> int:
+    """Estimate the number of tokens of a chat: a token per four characters, and the tokens of each picture.
+
+    Args:
+        messages: The chat.
+        convention: The convention of the model, which may declare how many tokens a picture has.
+
+    Returns:
+        The estimated number of tokens.
+    """
+    tokens = 0.0
+    for part in (part for message in messages for part in message.parts):
+        if isinstance(part, str):
+            tokens += len(part) / _CHARACTERS
+        else:
+            tokens += convention.picture_tokens(*part.size) or part.size[0] * part.size[1] / _PIXELS
+    return round(tokens)
+
+
+def with_tokens(reply: Reply, messages: Sequence[Message], convention: Convention) -> Reply:
+    """Estimate the numbers of tokens that a server does not count.
+
+    Args:
+        reply: The reply of the server.
+        messages: The chat of the request.
+        convention: The convention of the model.
+
+    Returns:
+        The reply with both numbers. If the server counted both, the reply is unchanged.
+    """
+    written = -(-len(reply.content + reply.reasoning) // _CHARACTERS)
+    if reply.prompt_tokens and (reply.completion_tokens or not written):
+        return reply
+    prompt_tokens = reply.prompt_tokens or estimate_tokens(messages, convention)
+    counts = {"prompt_tokens": prompt_tokens, "completion_tokens": reply.completion_tokens or written}
+    return msgspec.structs.replace(reply, **counts, estimated=True)
 
 
 def read_price(path: Path, model: str) -> Price:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Final
 
 import msgspec
@@ -17,7 +18,8 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
     content, reasoning: the texts as sent. finish_reason: why the reply ended. model: the model id that the reply names.
     prompt_tokens, completion_tokens: the numbers of tokens that the server counted, 0 if unknown. refusal: the text
-    with which the model declines to answer.
+    with which the model declines to answer. estimated: whether the client estimated the numbers of tokens, because the
+    server counted none.
     """
 
     content: str = ""
@@ -27,11 +29,12 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
     prompt_tokens: int = 0
     completion_tokens: int = 0
     refusal: str = ""
+    estimated: bool = False
 
     @property
     def finished(self) -> bool:
-        """Whether the reply ended by itself and is not a refusal by the model."""
-        return self.finish_reason == "stop" and not self.refusal
+        """Whether the server says that the reply ended, the reply was not cut off, and it is not a refusal."""
+        return self.finish_reason not in ("", "length", "content_filter") and not self.refusal
 
 
 class ErrorReply(ValueError):  # noqa: N818 - it is a reply
@@ -57,7 +60,7 @@ class _Text(msgspec.Struct):
 
 class _Choice(msgspec.Struct):
     message: _Text
-    finish_reason: str | None = None
+    finish_reason: Any = None
     error: Any = None
 
 
@@ -70,13 +73,17 @@ class _Completion(msgspec.Struct):
 # This runs at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 msgspec.convert({"choices": []}, _Completion)
 
-_FAILED: Final = ("error", "abort")
-"""Finish reasons of replies that the server aborted."""
+_FAILED: Final = re.compile(
+    "error|abort|cancel|fail|insufficient|time_?d?_?out|unavailable|overload|capacity|interrupt|disconnect|preempt|busy"
+    "|rate_?limit|shutdown"
+)
+"""Parts of finish reasons of replies that the server broke off, such as "insufficient_system_resource"."""
 
 _ENDS: Final = {
     **dict.fromkeys(("stop", "eos", "eos_token", "end_turn", "stop_sequence"), "stop"),
     **dict.fromkeys(("length", "max_tokens", "max_output_tokens", "model_length"), "length"),
-    "safety": "content_filter",
+    **dict.fromkeys(("max_length", "max_new_tokens", "token_limit", "model_context_window_exceeded"), "length"),
+    **dict.fromkeys(("safety", "sensitive", "recitation", "prohibited_content", "refusal"), "content_filter"),
 }
 """Finish reasons of chat completions, by finish reason. Some servers pass on the finish reasons of other protocols."""
 
@@ -109,9 +116,10 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
     if not completion.choices:
         raise ValueError("it holds no choice")
     choice = completion.choices[0]
-    ended = (choice.finish_reason or "").strip()
-    ended = _ENDS.get(ended.lower(), ended)
-    if choice.error or ended in _FAILED:
+    ended = _text(choice.finish_reason).strip()
+    plain = ended.lower().removeprefix("finish_reason_")
+    ended = _ENDS.get(plain, ended)
+    if choice.error or _FAILED.search(plain):
         reason, code = _reason(choice.error)
         raise ErrorReply(status, reason or f"the reply ended with finish_reason {ended!a}", code)
     text = choice.message
@@ -121,8 +129,8 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
         reasoning=_text(text.reasoning_content) or _text(text.reasoning) or thinking,
         finish_reason=ended,
         model=(completion.model or "")[:_LONGEST_NAME],
-        prompt_tokens=_tokens(completion.usage, "prompt_tokens"),
-        completion_tokens=_tokens(completion.usage, "completion_tokens"),
+        prompt_tokens=_tokens(completion.usage, "prompt_tokens", "input_tokens"),
+        completion_tokens=_tokens(completion.usage, "completion_tokens", "output_tokens"),
         refusal=_text(text.refusal),
     )
 
@@ -167,10 +175,11 @@ def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _tokens(usage: object, name: str) -> int:
+def _tokens(usage: object, *names: str) -> int:
     """Return a count of tokens. If it is missing or invalid, return 0, because the reply itself may be valid."""
-    count = usage.get(name) if isinstance(usage, dict) else None
-    return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
+    counts: list[Any] = [usage.get(name) for name in names] if isinstance(usage, dict) else []
+    valid = (count for count in counts if type(count) in (int, float) and 0 < count <= _MOST_TOKENS)
+    return next((int(count) for count in valid if count == int(count)), 0)
 
 
 def answer_text(reply: Reply, convention: Convention) -> str:

@@ -13,7 +13,8 @@
 
 A key is the long name of an option. Its value replaces the value of the command line. If a value is a list, the table
 describes one run per element. If several values are lists, it describes one run per combination of elements. For an
-option that may be repeated, the whole list is a single value.
+option that may be repeated, the whole list is a single value. If the command line names a model, only runs of this
+model are described.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 import itertools
 import tomllib
 from collections.abc import Iterator, Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,6 +32,9 @@ from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.commands._declared import build
 from jrdb_avr.schema.errors import InputError, did_you_mean
 
+PAPER: Final = Path("paper")
+"""Name in place of a file that selects the runs of the paper."""
+
 _SHARED: Final = ("store", "matrix", "json", "csv", "help")
 """Names of options that belong to the whole command. A run must not set them."""
 
@@ -38,7 +43,7 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
     """Return the options of each run that a TOML file describes.
 
     Args:
-        path: The TOML file.
+        path: The TOML file, or `PAPER`.
         ctx: The click context of the command. Its parameters define the options.
         shared: Values of the command line by name of the parameter. They apply unless a run sets its own value.
 
@@ -46,9 +51,10 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
         One dictionary per run: the values of all options by name of the parameter.
 
     Raises:
-        InputError: If the file cannot be read or describes no run.
+        InputError: If the file cannot be read, or describes no run or no run of the command line's model.
         UsageError: If an option is unknown or has a wrong value.
     """
+    path = Path(str(files("jrdb_avr.engine.run") / "paper.toml")) if path == PAPER else path
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("run")
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
@@ -62,7 +68,10 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
         except (click.UsageError, InputError) as error:
             message = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise click.UsageError(f"{path}, run {index}: {message}") from None
-    return runs
+    chosen = [run for run in runs if shared["model"] in (None, run["model"])]
+    if not chosen:
+        raise InputError(f"{path} has no run of the model {shared['model']}", file=str(path))
+    return chosen
 
 
 def _crossed(ctx: click.Context, table: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

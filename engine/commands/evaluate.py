@@ -63,7 +63,8 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--matrix",
     type=FILE,
-    help="TOML file that describes several runs. docs/models.md shows the format.",
+    help="TOML file that describes several runs, or 'paper' for the runs of the paper. With --model, only the runs of "
+    "this model. docs/models.md shows the format.",
 )
 @form_option
 def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:

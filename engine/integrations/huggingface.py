@@ -91,7 +91,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     summary, rai = (_IMPORTED, {}) if store.is_imported() else (card.SUMMARY, card.RAI)
     release = Release(f"{__version__}+{generation[:12]}", day, creator, url, summary, rai)
 
-    (private / "data").mkdir(parents=True)
+    private.mkdir(0o700)
+    (private / "data").mkdir()
     for name in _PRIVATE:
         shutil.copyfile(store.question_path(name), private / _path(name))
     mapping = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)

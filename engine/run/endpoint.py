@@ -93,10 +93,14 @@ class Endpoint:
             "preflight": self.warnings,
         }
 
-    def changed(self) -> str:
-        """Return a warning if the server named another model in a later reply than in its first reply, otherwise ""."""
-        others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
-        return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
+    def changed(self) -> list[str]:
+        """Return a warning if a later reply named another model than the first, and one if tokens are estimates."""
+        lines = []
+        if others := ", ".join(ascii(name) for name in self.client.served if name != self.served):
+            lines.append(f"the server changed its model during the run: {self.served!a}, then {others}")
+        if replies := self.client.estimates:
+            lines.append(f"the server counted no tokens in {replies} replies: tokens and costs are estimates")
+        return lines
 
 
 def declared(model: str, options: EndpointOptions) -> EndpointOptions:

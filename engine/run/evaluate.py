@@ -185,8 +185,8 @@ def evaluate(
             add_world_counts(store, run_id, world.graph.counts | {"cpu_ms": round(1000 * sum(world.graph.seconds))})
             _merge_world(run)
         predictions = run.finish()
-        if endpoint is not None and (changed := endpoint.changed()):
-            warnings.warn(changed, AvrWarning, stacklevel=2)
+        for line in [] if endpoint is None else endpoint.changed():
+            warnings.warn(line, AvrWarning, stacklevel=2)
     return RunResult(run_id, predictions, manifest.synthetic, options.endpoint.price)
 
 

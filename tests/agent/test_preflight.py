@@ -10,11 +10,12 @@ from jrdb_avr.agent.methods.requests import PANORAMAS
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
+from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.preflight import CROPS, SENDERS, preflight, require
 from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.methods import METHODS
-from jrdb_avr.schema.errors import EndpointError
+from jrdb_avr.schema.errors import EndpointError, RunStoppedError
 
 NAMES = ["text", "system", "schema", "picture", "panoramas", "crops", "plan", "thinking"]
 NAMES += ["finish", "tokens", "model"]
@@ -164,6 +165,12 @@ def test_a_server_that_is_only_warned_of(change, check):
     assert failed(found) == [check]
     (warning,) = require(list(found.values()))
     assert warning.startswith(f"{check}: ")
+
+
+def test_a_spent_cost_is_not_blamed_on_the_pictures():
+    """The fourth request is the first with a picture. Each costs 20 dollars."""
+    with pytest.raises(RunStoppedError, match=r"^the calls have cost 60 dollars, and --max-cost is 60"):
+        checks(seeing, price=Price(2e6, 0.0), max_cost=60.0)
 
 
 def test_an_empty_block_is_no_thinking():

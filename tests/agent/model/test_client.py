@@ -28,6 +28,7 @@ from jrdb_avr.agent.model.transport import Bounds
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError, StoreError
 
 ASK = [Message("user", ("hello",))]
+OBJECT = '{"answer": 2}'
 SECRET = "sk-very-secret-0123456789"
 
 
@@ -164,6 +165,9 @@ def test_the_servers_reason_is_told(body, reason):
         ({"error": "upstream died", "choices": []}, "HTTP 502: upstream died", 5),
         ({"object": "error", "message": "context too long", "code": 400}, "HTTP 400: context too long", 1),
         (completion("hal", "abort"), "finish_reason 'abort'", 5),
+        (completion(OBJECT, "insufficient_system_resource"), "finish_reason 'insufficient_system_resource'", 5),
+        (completion(OBJECT, "Network_Error"), "finish_reason 'Network_Error'", 5),
+        (completion(OBJECT, "timeout"), "finish_reason 'timeout'", 5),
         (
             {"choices": [{"message": {"content": "hal"}, "finish_reason": "error", "error": {"message": "gone"}}]},
             "HTTP 502: gone",
@@ -211,6 +215,8 @@ def test_content_that_is_a_list_of_parts(content, read, reasoning):
         ("MAX_TOKENS", "length"),
         ("content_filter", "content_filter"),
         ("SAFETY", "content_filter"),
+        ("FINISH_REASON_STOP", "stop"),
+        ({"type": "stop"}, ""),
         ("odd", "odd"),
         (None, ""),
     ],
@@ -470,7 +476,7 @@ def test_a_broken_cache_file_is_a_call(tmp_path):
         (completion("", reasoning="{}"), False),
         (completion(None, reasoning_content="hm</think>{}"), True),
         (completion("{}", finish_reason=None), False),
-        (completion("{}", finish_reason="tool_calls"), False),
+        (completion("{}", finish_reason="tool_calls"), True),
         (completion("{}", refusal={"odd": 1}, reasoning=["odd"]), True),
         (completion("{}", refusal="I would rather not."), False),
         (completion("", refusal="I cannot help with that."), False),
@@ -724,8 +730,25 @@ def test_a_key_that_is_a_word_leaves_replies_alone(monkeypatch):
     ids=str,
 )
 def test_a_server_that_counts_nonsense_is_still_heard(usage):
+    """Its tokens are estimated: five and two characters are one token each."""
     with FakeServer(lambda request, n: {**completion("hi"), "usage": usage}) as server:
-        assert client(server)[0].complete(ASK) == Reply("hi", "", "stop", "fake-1", 0, 0)
+        made, _ = client(server)
+        assert made.complete(ASK) == Reply("hi", "", "stop", "fake-1", 1, 1, estimated=True)
+        assert made.estimates == 1
+
+
+@pytest.mark.parametrize(
+    "usage",
+    [
+        {"input_tokens": 10, "output_tokens": 5},
+        {"prompt_tokens": 10.0, "completion_tokens": 5.0},
+        {"prompt_tokens": None, "input_tokens": 10.0, "completion_tokens": 5},
+    ],
+)
+def test_counts_of_tokens_in_other_forms(usage):
+    assert read_completion(json.dumps({**completion("hi"), "usage": usage}).encode()) == Reply(
+        "hi", "", "stop", "fake-1", 10, 5
+    )
 
 
 @pytest.mark.parametrize("key", ["sk-abc\nX-Evil: y", "sk abc", "sk-abc\x1b", "sk-\xe4bc"])

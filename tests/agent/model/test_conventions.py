@@ -2,10 +2,13 @@
 
 import json
 import math
+import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 from fake_server import BACKBONES
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention, convention_of
@@ -69,13 +72,64 @@ def test_thinking_is_switched_where_it_can_be(model, thinking, sent, thinks):
     assert options.thinks(convention) is thinks
 
 
-def test_gemmas_budget_shrinks_a_panorama_and_no_crop():
-    """Field notes: some 60 % of a side; sides are multiples of 48."""
-    gemma = convention_of("google/gemma-4-E4B-it")
-    across, down = gemma.resized(WIDTH, HEIGHT)
-    assert 0.55 < across / WIDTH < 0.65 and 0.55 < down / HEIGHT < 0.65
-    assert across % 48 == down % 48 == 0
-    assert gemma.resized(CROP, CROP) == (CROP, CROP)
+SIDES = st.integers(32, 4000)
+PROCESSORS = {
+    "Qwen/Qwen3-VL-8B-Instruct": {
+        "size": {"shortest_edge": 65_536, "longest_edge": 16_777_216},
+        "patch_size": 16,
+        "merge_size": 2,
+    },
+    "google/gemma-4-E4B-it": {"max_soft_tokens": 280, "patch_size": 16, "pooling_kernel_size": 3},
+}
+"""The sizes in the published configurations of the image processors (docs/servers.md)."""
+
+
+@pytest.mark.parametrize(
+    ("model", "crop", "panorama", "tokens"),
+    [
+        ("Gemma-4 E2B", (768, 768), (2208, 240), (256, 230)),
+        ("Qwen3-VL 4B", (480, 480), (3776, 480), (225, 1770)),
+        ("Qwen3.5 4B", (480, 480), (3776, 480), (225, 1770)),
+        ("some-model", (480, 480), (3760, 480), (None, None)),
+    ],
+)
+def test_how_a_backbone_resizes_pictures(model, crop, panorama, tokens):
+    convention = convention_of(model)
+    assert (convention.resized(CROP, CROP), convention.resized(WIDTH, HEIGHT)) == (crop, panorama)
+    assert (convention.picture_tokens(CROP, CROP), convention.picture_tokens(WIDTH, HEIGHT)) == tokens
+    if all(tokens):
+        cells = " | ".join(["x".join(map(str, size)) for size in (crop, panorama)] + [f"{n:,}" for n in tokens])
+        page = (Path(__file__).parents[3] / "docs" / "servers.md").read_text("utf-8")
+        assert re.search(rf"^\| {re.escape(model)}, .* {re.escape(cells)} \|", page, re.MULTILINE)
+
+
+@settings(max_examples=1000)
+@given(SIDES, SIDES)
+def test_sizes_are_those_of_the_image_processors(width, height):
+    """The functions of the processors themselves, if `transformers` is installed."""
+    gemma4 = pytest.importorskip("transformers.models.gemma4.image_processing_pil_gemma4")
+    qwen = pytest.importorskip("transformers.models.qwen2_vl.image_processing_pil_qwen2_vl")
+    assume(max(width, height) <= 100 * min(width, height))
+    resized = {model: convention_of(model).resized(width, height)[::-1] for model in PROCESSORS}
+    assert resized == {
+        "Qwen/Qwen3-VL-8B-Instruct": qwen.smart_resize(height, width, 32, 65_536, 16_777_216),
+        "google/gemma-4-E4B-it": gemma4.get_aspect_ratio_preserving_size(height, width, 16, 280 * 9, 3),
+    }
+
+
+@pytest.mark.parametrize("size", [(CROP, CROP), (WIDTH, HEIGHT), (64, 64), (5000, 4000)])
+@pytest.mark.parametrize("model", PROCESSORS)
+def test_tokens_are_those_of_the_image_processors(model, size):
+    """The processors run on a picture with the published configuration."""
+    gemma4 = pytest.importorskip("transformers.models.gemma4.image_processing_pil_gemma4")
+    qwen = pytest.importorskip("transformers.models.qwen2_vl.image_processing_pil_qwen2_vl")
+    picture = np.zeros((size[1], size[0], 3), np.uint8)
+    tokens = convention_of(model).picture_tokens(*size)
+    if "gemma" in model:
+        assert gemma4.Gemma4ImageProcessorPil(**PROCESSORS[model])(picture)["num_soft_tokens_per_image"] == [tokens]
+    else:
+        grid = qwen.Qwen2VLImageProcessorPil(**PROCESSORS[model])(picture)["image_grid_thw"]
+        assert grid.prod().item() / 4 == tokens
 
 
 # -- boxes ------------------------------------------------------------------------------------------------------------

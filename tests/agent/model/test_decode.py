@@ -47,6 +47,16 @@ def test_one_object_is_read(text):
     assert reply_object(reply(text)) == json.loads(OBJECT)
 
 
+@pytest.mark.parametrize("reason", ["end", "COMPLETE", "<|eot_id|>", "tool_calls", "other"])
+def test_an_unknown_finish_reason_leaves_a_readable_reply_valid(reason):
+    assert reply_object(reply(OBJECT, reason)) == json.loads(OBJECT)
+    assert reply(OBJECT, reason).finished
+    with pytest.raises(DecodeError, match="is not one JSON object"):
+        reply_object(reply(OBJECT[:-1], reason))
+    with pytest.raises(DecodeError, match=r"is empty \(finish_reason "):
+        reply_object(reply("", reason))
+
+
 def test_a_delimiter_in_a_text_is_text():
     said = '{"reasoning": ["the sign reads <think>"]}'
     assert reply_object(reply(said)) == json.loads(said)
@@ -323,5 +333,5 @@ def test_reasons_hold_no_control_characters():
                 decode.only_keys(reply, ("action",), "x")
             assert str(caught.value).isascii() and str(caught.value).isprintable()
         with pytest.raises(DecodeError) as caught:
-            reply_object(Reply("{}", finish_reason=word))
+            reply_object(Reply("", finish_reason=word))
         assert str(caught.value).isascii() and str(caught.value).isprintable()

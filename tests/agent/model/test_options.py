@@ -7,11 +7,12 @@ import pytest
 from fake_server import FakeServer, Status, completion
 
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import CONTRACT
+from jrdb_avr.agent.model.conventions import CONTRACT, convention_of
 from jrdb_avr.agent.model.limits import RateLimit
-from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.messages import Message, Picture
 from jrdb_avr.agent.model.options import EndpointOptions
-from jrdb_avr.agent.model.prices import Price, read_price
+from jrdb_avr.agent.model.prices import Price, estimate_tokens, read_price
+from jrdb_avr.agent.model.probes import drawn_picture
 from jrdb_avr.engine.run.options import QuestionSelection, RunOptions
 from jrdb_avr.schema.errors import EndpointError, InputError, RunStoppedError
 
@@ -252,6 +253,22 @@ def test_a_run_stops_at_its_cost_and_goes_on_with_more(tmp_path):
             client(server, 200e-6).complete(asks[5])
         assert len(server.requests) == 5, "what the calls before have cost counts"
         assert client(server, 210e-6).complete(asks[5]).content == "hi"
+
+
+def test_a_run_stops_at_its_cost_if_the_server_counts_no_tokens():
+    """400 characters are 100 tokens, and a crop of Qwen3-VL is one of 32 x 32 pixels each."""
+    picture = drawn_picture((640, 480), None)
+    ask = [Message("user", ("x" * 400, picture))]
+    assert estimate_tokens(ask, convention_of("Qwen3-VL-8B")) == 100 + 20 * 15
+    assert estimate_tokens(ask, CONTRACT) == round(100 + 640 * 480 / 784)
+    assert estimate_tokens([Message("user", (Picture("x", b"broken"),))], CONTRACT) == 0
+    options = EndpointOptions(price=Price(1000.0, 0.0), max_cost=1.0)
+    with FakeServer(lambda request, n: {**completion("hi"), "usage": None}) as server:
+        made = Client(server.url, "fake", options)
+        for _ in range(3):
+            made.complete(ask)
+        with pytest.raises(RunStoppedError, match=r"cost 1\.4\d* dollars by estimated tokens"):
+            made.complete(ask)
 
 
 def test_prices_come_from_a_file(tmp_path):

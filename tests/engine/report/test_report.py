@@ -223,6 +223,16 @@ def test_each_box_that_does_not_score_has_its_cause(tmp_path):
     }
 
 
+def test_a_folder_named_like_a_column_changes_no_row(tmp_path):
+    shown = []
+    for folder in ("plain", "run_id=7/question_id=q/track=3/frame=x"):
+        *_, store = stored_failures(tmp_path / folder / "store")
+        rows = [score(store), *(report(store).table(name) for name in ("main", "evidence_failures"))]
+        rows += [store.sql(f"FROM {name}").to_pylist() for name in ("runs", "scores", "intervals_sightings", "steps")]
+        shown.append(rows)
+    assert all(shown[0]) and str(shown[1]) == str(shown[0])
+
+
 def test_tables_hold_only_the_named_runs_under_the_threshold_at_hand(tmp_path):
     *_, store = stored_failures(tmp_path)
     # The other run cannot be scored, and the stored scores are of another threshold.

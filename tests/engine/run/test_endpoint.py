@@ -68,11 +68,18 @@ def test_a_change_of_model_while_it_is_asked_is_said():
     with FakeServer(sound(lambda request, n: completion("hi", model=["fake", "other\x1b[2J"][n]))) as server:
         endpoint = Endpoint(None, "fake", server.url)
         assert endpoint.client.complete(ASK)
-        assert endpoint.changed() == ""
+        assert endpoint.changed() == []
         assert endpoint.client.complete(ASK)
-        line = endpoint.changed()
+        (line,) = endpoint.changed()
     assert "'fake'" in line and "'other" in line
     assert line.isprintable()
+
+
+def test_estimated_tokens_are_said_at_the_end():
+    with FakeServer(sound(lambda request, n: {**completion("hi", model="fake"), "usage": {}})) as server:
+        endpoint = Endpoint(None, "fake", server.url)
+        assert endpoint.client.complete(ASK).estimated
+    assert endpoint.changed() == ["the server counted no tokens in 1 replies: tokens and costs are estimates"]
 
 
 def test_another_model_than_asked_is_a_warning():

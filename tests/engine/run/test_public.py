@@ -20,6 +20,7 @@ from processes import run
 from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.agent.simulated.sight import Sight
+from jrdb_avr.engine.integrations.huggingface import export_folders
 from jrdb_avr.engine.run.public import export_public, strip_metadata
 from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.store import Store
@@ -154,12 +155,39 @@ def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
         assert "a public store have no" in refusal(*base, *options)
 
 
+OTHER_USER = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups"]
+needs_root = pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv")
+
+
+@needs_root
+def test_another_user_reads_nothing_of_a_new_store(full):
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        place.chmod(0o755)
+        (old := Store(place / "old")).path.mkdir(0o755)
+        new = Store(place / "deep" / "new")
+        for store in (old, new):
+            with store.writing("load"):
+                for kind in ("questions", "annotations"):
+                    shutil.copytree(full.path / kind, store.path / kind)
+        export_public(full, place / "public")
+        export_folders(full, place / "hf")
+
+        def readable(path):
+            files = path.rglob("*.parquet")
+            return {
+                subprocess.run([*OTHER_USER, "head", "-c1", file], capture_output=True).returncode for file in files
+            }
+
+        assert readable(new.path) == readable(place / "hf" / "private") == {1}
+        assert readable(old.path) == readable(place / "public") == readable(place / "hf" / "public") == {0}
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv")
+@needs_root
 @pytest.mark.parametrize("opaque", [False, True])
 def test_another_user_evaluates_on_a_public_store(full, small_demo, opaque):
     program = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()"]
-    user = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups"]
     method = ("--method", "react", "--model", "simulated:independent", "--limit", "8", "--no-scores")
     hidden = ["--opaque"] if opaque else []
     assert run("evaluate", "--store", full.path, "--run-id", "own", *method, *hidden)[0] == 0
@@ -170,12 +198,15 @@ def test_another_user_evaluates_on_a_public_store(full, small_demo, opaque):
         export_public(full, place / "public", opaque)
         ids = pq.read_table(full.run_path("own") / "predictions.parquet")["question_id"].to_pylist()
         (place / "public" / "runs").chmod(0o777)
-        full.path.chmod(0o700)
         environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT.parent), "HOME": folder}
 
         def other(*arguments, command=program):
             return subprocess.run(
-                [*user, *command, *map(str, arguments)], env=environment, cwd=folder, capture_output=True, text=True
+                [*OTHER_USER, *command, *map(str, arguments)],
+                env=environment,
+                cwd=folder,
+                capture_output=True,
+                text=True,
             )
 
         if other(command=[*program[:2], "import jrdb_avr.engine.cli"]).returncode:
