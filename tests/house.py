@@ -23,10 +23,10 @@ BUDGETS = {
     "engine/validate": 600,
     "engine/observe": 230,
     "engine/run": 1530,
-    "engine/report": 1150,
+    "engine/report": 1200,
     "engine/pages": 1150,
-    "engine/integrations": 600,
-    "engine/commands": 1400,
+    "engine/integrations": 740,
+    "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,
     "agent/methods": 460,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 25_800
+TOTAL = 26_400
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {
