@@ -77,7 +77,9 @@ class LazyGroup(NamingGroup):
         """Import a command and return it. Return None if the name is unknown."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name.replace('-', '_'))}")
+        module = importlib.import_module(
+            f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name.replace('-', '_'))}"
+        )
         command: click.Command = getattr(module, cmd_name, None) or module.command
         # Click joins the lines of a paragraph that does not begin with a backspace. Examples must keep their lines.
         command.help = re.sub(r"\n\n(?=Examples?:\n|  )", "\n\n\b\n", inspect.cleandoc(command.help or ""))

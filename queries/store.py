@@ -38,7 +38,7 @@ from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest, re
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
-from jrdb_avr.schema.questions import DISJOINT_KEY, IMPORTED_KEY, PROFILE_KEY
+from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
@@ -184,15 +184,6 @@ class Store(Displayed):
         """Raise StoreError if the questions are a training set, which must not be published as a benchmark."""
         if self.training_set():
             raise StoreError(f"{self.path} holds a training set, not a benchmark: export the store of the benchmark")
-
-    def is_imported(self) -> bool:
-        """Return whether another program wrote the questions, so that they have no plans and no proofs."""
-        return IMPORTED_KEY.encode() in (self.questions("questions", []).schema.metadata or {})
-
-    def refuse_imported(self, what: str) -> None:
-        """Raise StoreError if the store has imported questions. The error message ends in `what`, a remedy."""
-        if self.question_path("questions").exists() and self.is_imported():
-            raise StoreError(f"{self.path} has imported questions, which have no plans: {what}")
 
     # -- the manifest -----------------------------------------------------------------------------------------
 

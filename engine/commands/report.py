@@ -118,16 +118,19 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         return
 
     from jrdb_avr.engine.report import comparison, formats
+    from jrdb_avr.engine.report.scored_runs import read_index
+    from jrdb_avr.engine.report.tables import tables_of
     from jrdb_avr.schema.errors import did_you_mean
 
     if form == "csv" and (len(tables) > 1 or "all" in tables):
         raise click.UsageError("--csv prints one table: give one --table")
+    known = tables_of(read_index(store).labels)
+    names = known if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
+    for name in names:
+        if name not in known:
+            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*known, 'all'))}")
     with warnings_as_notes():
         result = comparison.report(store, options["runs"], iou=iou, paper=paper)
-    names = result.names if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
-    for name in names:
-        if name not in result.names:
-            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*result.names, 'all'))}")
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page

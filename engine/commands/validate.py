@@ -28,6 +28,7 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
     stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
+    from jrdb_avr.queries.questions import is_imported
     from jrdb_avr.schema.rules import Rules, override
 
     with progress_bar() as progress:
@@ -41,7 +42,7 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
             note(f"{name}: {fault}")
         if len(faults) > 20:
             note(f"{name}: {len(faults) - 20} more")
-    if store.is_imported():
+    if is_imported(store):
         note("imported questions have no plans: no answer was derived again, and no text or proof was checked")
     if not result.sound:
         sys.exit(1)

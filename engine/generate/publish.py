@@ -16,7 +16,6 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.generate.question import COLUMNS
 from jrdb_avr.queries.files import sync_folder
 from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.errors import StoreError
@@ -61,7 +60,8 @@ def publish(
     for group in groups:
         digest.update(msgspec.json.encode(group.to_pylist(), order="sorted"))
     metadata = {GENERATION_KEY: digest.hexdigest(), **(metadata or {"canary": CANARY})}
-    added = [field for field in questions.schema if field.name not in COLUMNS.names]
+    stored = {"key", *QUESTIONS["questions"].names, *QUESTIONS["answers"].names}
+    added = [field for field in questions.schema if field.name not in stored]
     schemas = {**QUESTIONS, "answers": pa.schema([*QUESTIONS["answers"], *added])}
     parts = {"evidence": _evidence(store, questions), "questions": groups, "answers": groups}
     try:

@@ -30,6 +30,7 @@ from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
 from jrdb_avr.queries.manifest import Manifest
+from jrdb_avr.queries.questions import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
@@ -103,7 +104,7 @@ def generate(
         InputError: An option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
-    store.refuse_imported("load the annotations into another store, and generate there")
+    refuse_imported(store, "load the annotations into another store, and generate there")
     held_out, extents = _held_out(store, profile, n, disjoint_from)
     rules = training_rules(rules) if profile == TRAIN else rules
     check_load_rules(store, rules)

@@ -32,6 +32,7 @@ from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
 from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.opaque import opaque_names, rename_sequences
+from jrdb_avr.queries.questions import is_imported
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
@@ -88,7 +89,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     generation = (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
     metadata = {"canary": CANARY, GENERATION_KEY: generation}
     day = published or datetime.datetime.now(datetime.UTC).date()
-    summary, rai = (_IMPORTED, {}) if store.is_imported() else (card.SUMMARY, card.RAI)
+    summary, rai = (_IMPORTED, {}) if is_imported(store) else (card.SUMMARY, card.RAI)
     release = Release(f"{__version__}+{generation[:12]}", day, creator, url, summary, rai)
 
     private.mkdir(0o700)
@@ -118,7 +119,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
         counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
         tables=_columns(tables),
         evidence=dict(sorted(evidence.items())),
-        blind=[] if store.is_imported() else check_store(store, question_texts(questions, answers)),
+        blind=[] if is_imported(store) else check_store(store, question_texts(questions, answers)),
         counting=COUNTING,
         sources=sources,
         home=card.HOME,

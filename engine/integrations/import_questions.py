@@ -16,6 +16,7 @@ from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, read_regular
 from jrdb_avr.engine.report.tables import TABLES
 from jrdb_avr.engine.report.truth import is_inside
 from jrdb_avr.queries.opaque import rename_sequences
+from jrdb_avr.queries.questions import is_imported
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import AnswerMode, Evidence
@@ -83,7 +84,7 @@ def import_questions(store: Store | str | Path, paths: Sequence[str | Path]) -> 
     store, files = Store.of(store), [Path(path) for path in paths]
     store.manifest()
     with store.writing("import-questions"):
-        if store.question_path("questions").exists() and not store.is_imported():
+        if store.question_path("questions").exists() and not is_imported(store):
             raise StoreError(f"{store.path} has generated questions: load the annotations into another store")
         if any(path.is_dir() for path in files):
             return _import_folders(store, files)
@@ -118,7 +119,7 @@ def _contents(path: Path) -> Iterator[tuple[str, bytes | _Row]]:
     """Yield the position and the content of each question of a file."""
     data = read_regular(path, LARGEST_FILE)
     if data.startswith(b"PAR1"):
-        for index, row in enumerate(pq.read_table(pa.BufferReader(data)).to_pylist(), 1):
+        for index, row in enumerate(pq.ParquetFile(pa.BufferReader(data)).read().to_pylist(), 1):
             yield f"row {index}", {name: value for name, value in row.items() if value is not None}
         return
     for index, line in enumerate(data.split(b"\n"), 1):

@@ -16,6 +16,7 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.engine.pages.timeline import Record, SequenceTables, timeline_rows
+from jrdb_avr.queries.questions import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import Choice
@@ -79,7 +80,7 @@ def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
     Raises:
         StoreError: If a table is missing.
     """
-    store.refuse_imported("look at them with 'jrdb-avr view'")
+    refuse_imported(store, "look at them with 'jrdb-avr view'")
     *tables, infos = store.question_tables("questions", "answers", "sequences")
     questions, answers = (_by_id(table, ids) for table in tables)
     sequences = {row["sequence"]: row for row in infos.to_pylist()}

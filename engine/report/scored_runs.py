@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.paper import GROUPS
-from jrdb_avr.queries.questions import sort_by_sequence
+from jrdb_avr.queries.questions import is_imported, sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
@@ -125,7 +125,7 @@ def read_index(store: Store) -> QuestionIndex:
     answers = store.questions("answers")
     others = [name for name in answers.column_names if name not in QUESTIONS["answers"].names]
     questions = store.questions("questions", ["question_id", *_TEXTS])
-    return QuestionIndex(sort_by_sequence(questions), answers, others if store.is_imported() else None)
+    return QuestionIndex(sort_by_sequence(questions), answers, others if is_imported(store) else None)
 
 
 def percent_of(part: float, n: float) -> float | None:

@@ -18,9 +18,9 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.proofs import failing
+from jrdb_avr.engine.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
 from jrdb_avr.engine.rederive.twins import compare_twins
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU
@@ -28,6 +28,7 @@ from jrdb_avr.engine.report.truth import is_inside
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.display import Progress, step_counter
+from jrdb_avr.queries.questions import is_imported, refuse_imported
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.choice_labels import CHOICE_COUNT
@@ -71,9 +72,9 @@ def validate(
     count = store.questions("questions").num_rows
     advance = step_counter(progress, "checking questions", count)
     report = Validation()
-    training, imported = bool(store.training_set()), store.is_imported()
+    training, imported = bool(store.training_set()), is_imported(store)
     if replay_proofs:
-        store.refuse_imported("validate without --replay")
+        refuse_imported(store, "validate without --replay")
     rules = training_rules(rules) if training else rules
     marks = {PROFILE_KEY, DISJOINT_KEY} if training else {"canary", IMPORTED_KEY} if imported else {"canary"}
     read = {name: _read(store, name, report, marks | {GENERATION_KEY}) for name in _FILES}

@@ -17,6 +17,7 @@ from jrdb_avr.engine.validate.replay import StoredPlan, iterate_stored_proofs, r
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.keyframes import layer_stamp
+from jrdb_avr.queries.questions import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.questions import Proof, QuestionRecord
@@ -78,7 +79,7 @@ def explain(store: Store, question_id: str) -> Explanation:
         StoreError: If the graph is missing or damaged, or the graph or its rules do not fit the question.
         LockedError: If another process writes the graph.
     """
-    store.refuse_imported("query them with 'jrdb-avr sql'")
+    refuse_imported(store, "query them with 'jrdb-avr sql'")
     records = [record for record in read_records(store, Validation()) if record.question_id == question_id]
     if not records:
         raise InputError(f"no question {question_id[:40]!r} in {store.path}: jrdb-avr sql 'FROM questions' lists all")

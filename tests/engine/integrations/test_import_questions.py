@@ -12,6 +12,7 @@ from processes import run
 from jrdb_avr.engine.local_server import Request
 from jrdb_avr.engine.pages.view import Viewer, address
 from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.queries.questions import is_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import QUESTIONS
 
@@ -129,7 +130,7 @@ def test_generated_questions_come_back_with_their_plans_and_are_never_mixed(smal
     source = Store(small_demo.folder / "store")
     done("export", "--hf", tmp_path / "hf", "--store", source.path)
     done("import-questions", tmp_path / "hf", "--store", empty.path)
-    assert not empty.is_imported() and empty.questions("answers").equals(source.questions("answers"))
+    assert not is_imported(empty) and empty.questions("answers").equals(source.questions("answers"))
     assert empty.questions("questions").equals(source.questions("questions"))
     done("validate", "--store", empty.path)
     file = write(tmp_path / "mine.jsonl", lines_of(empty))
