@@ -52,6 +52,7 @@ from jrdb_avr.schema.errors import ObserveError as ObserveError
 from jrdb_avr.schema.errors import RefusedError as RefusedError
 from jrdb_avr.schema.errors import DecodeError as DecodeError
 from jrdb_avr.schema.errors import EndpointError as EndpointError
+from jrdb_avr.schema.errors import FilteredError as FilteredError
 from jrdb_avr.schema.errors import RunStoppedError as RunStoppedError
 from jrdb_avr.schema.errors import AvrWarning as AvrWarning
 

@@ -112,6 +112,8 @@ def main() -> None:
     """Run the command line. The process ends with the exit code of the command."""
     # If a file exceeds the size limit, the process must report an error instead of being killed by the signal.
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    # A scheduler's stop must leave what Ctrl-C leaves.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         group(standalone_mode=False)
     except click.ClickException as error:

@@ -11,6 +11,7 @@ import io
 import os
 import shutil
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -31,6 +32,9 @@ _WIDTH: Final = 100
 
 _ROWS: Final = 100
 """Maximum number of rows of a table on a terminal."""
+
+_LOG_EVERY_S: Final = 60.0
+"""Seconds between two printed lines of progress if stderr is not a terminal."""
 
 RowFormat = Literal["", "json", "csv"]
 """Format of printed rows: "" for text tables, "json" for one JSON array, or "csv"."""
@@ -131,41 +135,52 @@ def warnings_as_notes() -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[str, int, int], None]]:
-    """Show progress bars on stderr if stderr is a terminal. Print AvrWarnings of the `with` block as notes.
+def progress_bar(below: Callable[[], str] = lambda: "") -> Iterator[Callable[[str, int, int], None]]:
+    """Show progress bars with the time left on stderr. Print AvrWarnings of the `with` block as notes.
+
+    If stderr is not a terminal, a line is printed each minute instead.
 
     Args:
-        beside: Function that returns the text beside the bars. It is called several times per second.
+        below: Function that returns the text below the bars. It is called several times per second.
 
     Yields: A function that advances the progress bar of a step. Its arguments are the step's name, the finished count
     and the total count.
     """
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        TaskID,
-        TextColumn,
-        TimeElapsedColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
     from rich.text import Text
 
-    class Beside(ProgressColumn):
-        def render(self, task: Any) -> Text:
-            return Text(beside())
+    class Bars(Progress):
+        def get_renderables(self) -> Iterator[Any]:
+            yield from super().get_renderables()
+            yield Text(below())
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Beside())
+    left = TimeRemainingColumn(elapsed_when_finished=True)
+    columns = (TextColumn("{task.description}"), BarColumn(20), MofNCompleteColumn(), left, TextColumn("left"))
     tasks: dict[str, TaskID] = {}
-    bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    # Older versions of rich print an empty line at the end of a disabled bar, so the bar is not entered.
-    with bar if console.is_terminal else nullcontext(), warnings_as_notes():
+    # The time left comes from the last hour, because one step may take minutes.
+    bar = Bars(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=3600)
+    ended = threading.Event()
 
-        def show(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total)
-            bar.update(tasks[what], completed=done)
+    def log() -> None:
+        while not ended.wait(_LOG_EVERY_S):
+            for task in bar.tasks:
+                if not task.finished:
+                    text = f"{task.description}: {task.completed:,.0f} of {task.total:,.0f}, {left.render(task)} left"
+                    note("; ".join(filter(None, [text, below()])))
 
-        yield show
+    if not console.is_terminal:
+        threading.Thread(target=log, daemon=True).start()
+    try:
+        # Older versions of rich print an empty line at the end of a disabled bar, so the bar is not entered.
+        with bar if console.is_terminal else nullcontext(), warnings_as_notes():
+
+            def show(what: str, done: int, total: int) -> None:
+                if what not in tasks:
+                    tasks[what] = bar.add_task(what, total=total)
+                bar.update(tasks[what], completed=done)
+
+            yield show
+    finally:
+        ended.set()

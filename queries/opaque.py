@@ -1,7 +1,9 @@
-"""Replace the names of sequences by opaque names, because a real name tells a method where a recording was made.
+"""Replace names of sequences and ids of questions by keyed hashes, in runs with hidden names and in what is shared.
 
-An opaque name is made of the HMAC-SHA256 of the real name. The key of the HMAC is in the file `opaque.key` of the
-store, so that a sequence has the same opaque name in all runs of the store. No module of `agent` opens this file.
+A real name shows a method where a recording was made. The id of a question is a hash of its family and template, so a
+method could find them by trying all. An opaque name or id is made of the HMAC-SHA256 of the real name or id. The key of
+the HMAC is in the file `opaque.key` of the store, so that all runs and exports of a store have the same opaque names.
+No module of `agent` opens this file.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.queries.files import write_once
+from jrdb_avr.queries.questions import sequences_of_questions
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -43,18 +46,44 @@ def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
-def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return a copy of a table. In the copy, the sequences have new names.
+def opaque_ids(store: Store, ids: Iterable[str]) -> dict[str, str]:
+    """Return the opaque id of each question.
 
     Args:
-        table: A table that has the column `sequence`.
+        store: The store. If it has no key, a new key is written.
+        ids: Ids of questions in the store.
+
+    Returns:
+        The opaque id of each question, by id in the store.
+
+    Raises:
+        StoreError: If the file with the key is damaged, or if this file cannot be read or written.
+    """
+    key = _key(key_path(store))
+    # The name of a sequence has no space, so the hash of an id is never the hash of a name.
+    return {name: hmac.digest(key, f"question {name}".encode(), "sha256").hex()[:16] for name in ids}
+
+
+def stored_ids(store: Store) -> dict[str, str]:
+    """Return the id in the store of each question, by opaque id. A store without a key has no opaque ids."""
+    if not key_path(store).exists():
+        return {}
+    return {opaque: name for name, opaque in opaque_ids(store, sequences_of_questions(store)).items()}
+
+
+def rename(table: pa.Table, column: str, names: Mapping[str, str]) -> pa.Table:
+    """Return a copy of a table. In the copy, a column has new names.
+
+    Args:
+        table: A table that has the column.
+        column: The name of the column. Its values are names, ids or null.
         names: The new name for each old name.
 
     Returns:
         The copy. Its rows and columns are in the same order as in the given table.
     """
-    renamed = pa.array([names[name] for name in table["sequence"].to_pylist()], pa.string())
-    return table.set_column(table.column_names.index("sequence"), table.schema.field("sequence"), renamed)
+    renamed = pa.array([name and names[name] for name in table[column].to_pylist()], pa.string())
+    return table.set_column(table.column_names.index(column), table.schema.field(column), renamed)
 
 
 def key_fingerprint(store: Store) -> str:
@@ -74,7 +103,9 @@ def _key(path: Path) -> bytes:
     try:
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError) as error:
-        raise StoreError(f"{path} cannot be used: {error}; delete it, then runs get new opaque names") from None
+        raise StoreError(
+            f"{path} cannot be used: {error}; restore it, or delete it: then runs and exports get new names"
+        ) from None
     if len(key) != _KEY_BYTES:
-        raise StoreError(f"{path} is damaged: delete it, then runs get new opaque names")
+        raise StoreError(f"{path} is damaged: restore it, or delete it: then runs and exports get new names")
     return key

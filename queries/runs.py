@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -42,13 +43,12 @@ class RunManifest(msgspec.Struct, frozen=True):
     world: dict[str, int] = {}
 
 
-def questions_hash(store: Store) -> str:
+def questions_hash(store: Store, opaque: Iterable[str] | None = None) -> str:
     """Return one sha256 over the generation id and all question ids of a store.
-
-    A public copy of the store has the same hash.
 
     Args:
         store: Store with questions.
+        opaque: The opaque ids of all questions. If given, the hash is the hash of a public copy of the store.
 
     Returns:
         The hash in hexadecimal digits.
@@ -58,7 +58,7 @@ def questions_hash(store: Store) -> str:
     """
     table = store.questions("questions", ["question_id"])
     generation = (table.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
-    ids = table["question_id"].combine_chunks().sort().to_pylist()
+    ids = sorted(table["question_id"].to_pylist() if opaque is None else opaque)
     return hashlib.sha256("\n".join([generation, *ids]).encode()).hexdigest()
 
 

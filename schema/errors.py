@@ -10,6 +10,7 @@
     ├── RefusedError             an episode refuses a move or an answer
     ├── DecodeError              a model's reply cannot be read
     └── EndpointError            a model server cannot be used
+        ├── FilteredError        a content filter of the server refuses a prompt
         └── RunStoppedError      the run cannot answer further questions now
 
 Every message is one line and says what the user can do. The command line prints the message and exits with status 1.
@@ -82,6 +83,10 @@ class DecodeError(AvrError):
 
 class EndpointError(AvrError):
     """A model server cannot be reached, or does not follow the protocol."""
+
+
+class FilteredError(EndpointError):
+    """A content filter of the server refuses a prompt. The question ends as invalid, and is not asked again."""
 
 
 class RunStoppedError(EndpointError):

@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 from jrdb_avr.agent.look.moments import Bracket, absence, brackets, postures
 from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, frames_of, slot_supports
 from jrdb_avr.agent.perceive.expectation import expected_place
-from jrdb_avr.agent.perceive.readings import is_value
 from jrdb_avr.agent.perceive.votes import CERTAIN, UNIT, SlotState, Tracks
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import Answer, Choice, Number
@@ -54,6 +53,9 @@ CHANGES: Final = (
 Counted in JRDB's action labels of 27 sequences, between keyframes that are 15 frames apart, if both frames have exactly
 one posture of the person. Such postures are confused easily, also by annotators. Other pairs do not occur.
 """
+
+_MOST_DIGITS: Final = 5
+"""Maximum number of digits of a choice that is a number of people."""
 
 _OFTEN: Final = 100
 """Minimum count of changes for which readings of both postures are never certain."""
@@ -230,7 +232,7 @@ class _Reader:
         odds = {
             index: self.tracks.statement(self.entity, name, value, frame).log_odds
             for index, value in enumerate(values, 1)
-            if is_value(name, value)
+            if name != "group_size" or (value.isdecimal() and len(value) <= _MOST_DIGITS)
         }
         order = sorted(odds, key=lambda index: (-odds[index], index))
         sighted = min(self._read_frames(), key=lambda at: (abs(at - frame), at))

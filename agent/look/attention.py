@@ -18,7 +18,7 @@ from jrdb_avr.agent.look.moments import Bracket, brackets, presence
 from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
 from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.geometry import CIRCLE, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
-from jrdb_avr.agent.perceive.readings import USUAL_CONFIDENCE
+from jrdb_avr.agent.perceive.readings import CONFIDENCE
 from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.labels import ROBOT_SECTORS, answer_of_choice
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
@@ -301,9 +301,7 @@ class _Attention:
         if readings:
             if len(readings) < _MOST_READINGS and not self._answered(entity, frame):
                 reason = f"no reading of {entity} at this frame gives an answer"
-                yield NextLook(
-                    frame, self._angle(entity, frame), "verify", _ANSWER_BITS * _learned(USUAL_CONFIDENCE), reason
-                )
+                yield NextLook(frame, self._angle(entity, frame), "verify", _ANSWER_BITS * _learned(CONFIDENCE), reason)
             return
         reason = f"the answer is about {entity} at this frame"
         if (look := self._search(entity, frame, _ANSWER_BITS, "follow", reason)) is not None:
@@ -400,7 +398,7 @@ class _Attention:
         frame = readings[-1].frame
         if len(self.tracks.readings_at(entity, frame)) < _MOST_READINGS:
             # The last looks are for the box, because without a box the answer does not count.
-            bits = _ANSWER_BITS * _learned(USUAL_CONFIDENCE) * (10.0 if self.left <= 2 else 0.8)
+            bits = _ANSWER_BITS * _learned(CONFIDENCE) * (10.0 if self.left <= 2 else 0.8)
             yield NextLook(frame, self._angle(entity, frame), "evidence", bits, f"an edge cuts the box of {entity}")
 
     # -- the place of a person --------------------------------------------------------------------------------------
@@ -430,7 +428,7 @@ def _chance(arc: Arc, angle: float, spread: float) -> float:
 
 def _learned(chance: float) -> float:
     """Return the bits that one reading of the usual confidence yields about a statement of this probability."""
-    return _entropy(chance * USUAL_CONFIDENCE + (1 - chance) * (1 - USUAL_CONFIDENCE)) - _entropy(USUAL_CONFIDENCE)
+    return _entropy(chance * CONFIDENCE + (1 - chance) * (1 - CONFIDENCE)) - _entropy(CONFIDENCE)
 
 
 def _entropy(chance: float) -> float:

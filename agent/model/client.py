@@ -1,9 +1,9 @@
 """Client of OpenAI-compatible chat servers.
 
 A call that finishes cleanly is stored under the sha256 of the whole request, so that it is never paid for twice. The
-client repeats a call for about two minutes if the server is busy (429, 503, 529) or cannot be reached. The client
-repeats a call a few times if the call breaks (timeout, unreadable reply, any other 5xx). Any other refusal raises an
-exception immediately. API keys come from the environment and are sent only in the headers of requests.
+client repeats a call for about two minutes if the server is busy (429, 498, 503, 529) or cannot be reached. The client
+repeats a call a few times if the call breaks (timeout, unreadable reply, 408, 409, 424, any other 5xx). Any other
+refusal raises an exception immediately. API keys come from the environment. They are sent only in request headers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jrdb_avr.agent.model.options import AUTO, DEFAULTS, EndpointOptions
 from jrdb_avr.agent.model.prices import with_tokens
 from jrdb_avr.agent.model.reply import ErrorReply, Reply, answer_text, read_completion
 from jrdb_avr.agent.model.transport import BOUNDS, Bounds, Connections, Credentials, address_of, checked_url
-from jrdb_avr.schema.errors import EndpointError, RunStoppedError
+from jrdb_avr.schema.errors import EndpointError, FilteredError, RunStoppedError
 
 if TYPE_CHECKING:
     from tenacity import RetryCallState
@@ -43,16 +43,28 @@ _SECONDS: Final = re.compile(r"[0-9]{1,9}(\.[0-9]+)?")
 """Form of a Retry-After header that names a pause in seconds."""
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
-_BUSY: Final = (429, 503, 529)
+_BUSY: Final = (429, 498, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
-_NO_CREDIT: Final = "insufficient_quota"
-"""Error code of a response with status 429 if the account has no credit left, so that waiting does not help."""
+_BROKEN: Final = (408, 409, 424, 425, 499)
+"""Further statuses of failures that may be gone at the next attempt: time-outs, conflicts, failed dependencies."""
+_NO_CREDIT: Final = re.compile(r"(?i)insufficient_quota|insufficient (balance|credit|fund)|credit balance|arrearage")
+"""Codes and reasons of a refusal if the account has no credit left, so that waiting does not help."""
+_FILTERED: Final = re.compile(
+    r"(?is)(?!.*\b(account|suspended)\b).*(content[ _-]?(filter|management|policy|exists risk)|data_?inspection_?failed"
+    r"|sensitive_?content|moderation|responsible_?ai|(input|prompt|request) (was |is )?(flagged|blocked))"
+)
+"""Codes and reasons of a refusal by a content filter."""
 _REMEDIES: Final = {
     401: "; put the server's key into ${key}",
     403: "; put a key that may use the model into ${key}",
     404: "; check --base-url (most end in /v1) and --model",
-    429: "; the key's account has no credit left",
 }
+_HINTS: Final = {
+    "temperature": "; if the model takes none, give --temperature none",
+    "chat_template_kwargs|enable_thinking": "; give --thinking template: requests then hold no chat_template_kwargs",
+    r"\bstream": "; replies must come whole: serve the model by a server that needs no stream",
+}
+"""Remedies by a regular expression for the reason of a refusal."""
 
 _LONGER_NAME: Final = "max_completion_tokens"
 """The newer name of `max_tokens`. A server that requires the newer name says so in its refusal."""
@@ -135,6 +147,8 @@ class Client:
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
         self._replies = 0
+        self.retries = 0
+        """Number of requests that were repeated."""
         self._bounds = bounds
         self._connections = Connections(self.base_url, bounds)
 
@@ -159,6 +173,7 @@ class Client:
 
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
+            FilteredError: If a content filter of the server refuses the request.
             RunStoppedError: If the server was busy or could not be reached for two minutes, and no other call succeeded
                 in this time. Also if the server refuses the key, if no credit is left, or if `max_cost` is spent.
         """
@@ -238,6 +253,7 @@ class Client:
             stop=lambda state: state.idle_for >= patience_s,
             wait=_pause_s,
             sleep=self._pause,
+            before_sleep=self._count_retry,
             reraise=True,
         )
         repeating = waiting.copy(
@@ -254,6 +270,10 @@ class Client:
             # A probe belongs to no run that could be resumed.
             resume = "" if probe else " (evaluate with --resume)"
             raise kind(f"{self.base_url}: {broken.reason} (tries: {tries}): {broken.remedy}{resume}") from None
+
+    def _count_retry(self, state: RetryCallState) -> None:
+        with self._lock:
+            self.retries += 1
 
     def _try(self, body: bytes, messages: Sequence[Message], timeout_s: float) -> Reply:
         import httpx2
@@ -296,16 +316,19 @@ class Client:
     def _refusal(self, error: ErrorReply, retry_after: str) -> Exception:
         """Return the exception to raise for a reply that reports an error."""
         reason = f"HTTP {error.status}: {self._one_line(error.reason.strip() or 'the server gives no reason')}"
-        busy = error.status in _BUSY and error.code != _NO_CREDIT
-        if busy or error.status >= 500:
+        stated = f"{error.code} {error.reason}"
+        # After a refusal for want of credit or of a valid key, the next question would be refused for the same reason.
+        if error.status == 402 or _NO_CREDIT.search(stated):
+            return RunStoppedError(f"{self.base_url}: {reason}; the key's account has no credit left")
+        busy = error.status in _BUSY
+        if busy or error.status >= 500 or error.status in _BROKEN:
             pause = float(retry_after) if _SECONDS.fullmatch(retry_after) else None
             return _PassingError(reason, _CROWDED, pause) if busy else _BrokenError(reason, pause=pause)
-        remedy = _REMEDIES.get(error.status, "").format(key=self.options.api_key_env)
-        if self.options.temperature is not None and "temperature" in error.reason:
-            remedy = "; if the model takes none, give --temperature none"
-        # After such a refusal, the next question would be refused for the same reason.
-        stops = error.status == 401 or error.code == _NO_CREDIT
-        return (RunStoppedError if stops else EndpointError)(f"{self.base_url}: {reason}{remedy}")
+        if _FILTERED.match(stated):
+            return FilteredError("refused: content filter")
+        hints = [hint for pattern, hint in _HINTS.items() if re.search(pattern, error.reason)]
+        remedy = [*hints, _REMEDIES.get(error.status, "").format(key=self.options.api_key_env)][0]
+        return (RunStoppedError if error.status == 401 else EndpointError)(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:
         # The key is hidden before the text is cut. Otherwise the beginning of a key could stay visible.

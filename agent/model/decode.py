@@ -324,9 +324,10 @@ def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: in
     """
     record = MODES[mode]
     if record.is_choice:
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= n_choices:
+        choice = finite(value)
+        if choice is None or not choice.is_integer() or not 1 <= choice <= n_choices:
             raise DecodeError(f"answer must be the number of a choice, an integer from 1 to {n_choices}")
-        return record.build(value)
+        return record.build(int(choice))
     keys = {part.key: part.kind for part in record.parts}
     written = only_keys(value, keys, "answer")
     answer = record.build(*(_answer_part(key, kind, written[key], frame_count) for key, kind in keys.items()))

@@ -78,9 +78,9 @@ class Field(NamedTuple):
         return (*(_LABELS[self.name] if self.kind == "labels" else ("yes", "no")), CANNOT_TELL)
 
     def form(self) -> Any:
-        """Return the description of the field for a prompt."""
-        forms = {"metres": "number", "relation": "ids of people", "words": f'one or two words, or "{CANNOT_TELL}"'}
-        return forms.get(self.kind) or self.words
+        """Return the description of the field for a prompt, which allows `CANNOT_TELL` for every field."""
+        forms = {"metres": "number", "relation": "ids of people", "words": "one or two words", "statement": "yes/no"}
+        return forms.get(self.kind) or _LABELS[self.name]
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the field's value."""

@@ -121,6 +121,8 @@ def clear_size(box: Box) -> bool:
 
 def in_sector(angle_deg: float, word: str) -> Truth:
     """Return whether a panorama angle in degrees is in a sector of the robot, which is given by its word."""
+    if word not in ROBOT_SECTORS:
+        return None
     off = angle_error(angle_deg, ROBOT_SECTORS[word])
     if off <= _RULES.sector_true_deg + SLACK:
         return True

@@ -1,4 +1,4 @@
-"""Records of what a model read of the people in one picture: labels of closed vocabularies with a confidence."""
+"""Records of what a model read of the people in one picture: labels, relations, boxes and distances."""
 
 from __future__ import annotations
 
@@ -7,36 +7,14 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perceive.geometry import angle_of
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import Box
-from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.things import OBJECTS, VERBS
 
-USUAL_CONFIDENCE: Final = 0.9
-"""Confidence of a reading if the model states none."""
+CONFIDENCE: Final = 0.9
+"""Confidence of each reading, because models state none."""
 
 LEAST_SIDE: Final = 0.1
 """Minimum width and height of a box in pixels."""
-
-_MOST_DIGITS: Final = 5
-"""Maximum number of digits of a people count."""
-
-_WORDS: Final[dict[str, frozenset[str]]] = {
-    "gender": frozenset(GENDERS),
-    "age": frozenset(AGES),
-    "action": frozenset(ACTIONS),
-    "distance": frozenset(DISTANCE_WORDS),
-    "sector": frozenset(ROBOT_SECTORS),
-    "interaction": frozenset(INTERACTIONS),
-    "object": frozenset(f"{verb}: {thing}" for verb in VERBS for thing in OBJECTS),
-}
-
-
-def is_value(name: str, value: str) -> bool:
-    """Return whether an attribute may have a value. A free attribute may have any text."""
-    if name == "group_size":
-        return value.isdecimal() and len(value) <= _MOST_DIGITS
-    return value in _WORDS[name] if name in _WORDS else bool(value)
 
 
 class ReadLabel(NamedTuple):
@@ -46,13 +24,11 @@ class ReadLabel(NamedTuple):
         name: Name of the attribute.
         value: Value of the attribute.
         holds: False if the reader denies the value.
-        confidence: Confidence of the reader, from 0.5 to 1.
     """
 
     name: str
     value: str
     holds: bool = True
-    confidence: float = USUAL_CONFIDENCE
 
     @property
     def topic(self) -> str:
@@ -67,20 +43,18 @@ class ReadTie(NamedTuple):
         relation: Name of the relation.
         other: Number of the other person in the picture.
         holds: False if the reader denies the relation.
-        confidence: Confidence of the reader, from 0.5 to 1.
     """
 
     relation: str
     other: int
     holds: bool = True
-    confidence: float = USUAL_CONFIDENCE
 
 
 @dataclass(frozen=True, slots=True)
 class PersonReading:
     """One person in one picture, as a model read it.
 
-    DecodeError is raised for a label outside the vocabularies, and for a box that is smaller than `LEAST_SIDE`.
+    DecodeError is raised for a box that is smaller than `LEAST_SIDE`.
 
     Attributes:
         observation: Name of the picture.
@@ -103,15 +77,9 @@ class PersonReading:
     whole: bool = True
 
     def __post_init__(self) -> None:
-        """Check the box and the labels."""
+        """Check the box."""
         if not (self.box.w >= LEAST_SIDE and self.box.h >= LEAST_SIDE):
             raise DecodeError("a box has a width and a height")
-        for label in self.labels:
-            if not is_value(label.name, label.value):
-                raise DecodeError(f"{label.name} has no value {label.value!r}")
-        for tie in self.ties:
-            if tie.relation not in RELATIONS:
-                raise DecodeError(f"there is no relation {tie.relation!r}")
 
     @property
     def angle(self) -> float:

@@ -26,7 +26,7 @@ from jrdb_avr.agent.perceive.geometry import (
     in_sector,
     standing,
 )
-from jrdb_avr.agent.perceive.readings import USUAL_CONFIDENCE, PersonReading, ReadLabel, has_one_value, topic_of
+from jrdb_avr.agent.perceive.readings import CONFIDENCE, PersonReading, ReadLabel, has_one_value, topic_of
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.labels import may_be_called
 from jrdb_avr.schema.panorama import WIDTH, Box
@@ -36,8 +36,8 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 SlotState = Literal["open", "supported", "certain", "contradicted"]
 
-UNIT: Final = math.log(USUAL_CONFIDENCE / (1 - USUAL_CONFIDENCE))
-"""Log-odds of one reading of the usual confidence, and the maximum of one reading."""
+UNIT: Final = math.log(CONFIDENCE / (1 - CONFIDENCE))
+"""Log-odds of one reading."""
 
 CAP: Final = 1.5 * UNIT
 """Maximum log-odds for or against a statement."""
@@ -226,7 +226,7 @@ class Tracks:
             frames.add(reading.frame)
             for label in reading.labels:
                 if label.topic == topic:
-                    votes[label.value].append((reading.frame, _weight(label) * factor))
+                    votes[label.value].append((reading.frame, signed(label.holds) * factor))
         tallies = (Tally(value, fuse(given, None, self.repeats)) for value, given in votes.items())
         return tuple(sorted(tallies, key=lambda tally: (-tally.log_odds, tally.value)))
 
@@ -313,7 +313,7 @@ class Tracks:
         if key not in self._standing:
             self._standing[key] = standing(relation, boxes, source, self.looks.get(at, ()))
         holds = self._standing[key].get(target)
-        return Support() if holds is None else self._support([(at, UNIT if holds else -UNIT)], frame)
+        return Support() if holds is None else self._support([(at, signed(holds))], frame)
 
     # -- tables that are computed once ------------------------------------------------------------------------------
 
@@ -351,7 +351,7 @@ class Tracks:
                 if target is not None:
                     votes = table.setdefault(tie_key(entity, tie.relation, target), [])
                     repeated = any(at == reading.frame for at, _ in votes)
-                    vote = signed(tie.holds, tie.confidence) * (self.repeats.frame if repeated else 1.0)
+                    vote = signed(tie.holds) * (self.repeats.frame if repeated else 1.0)
                     votes.append((reading.frame, vote))
         return table
 
@@ -362,14 +362,9 @@ def tie_key(source: str, relation: str, target: str) -> TieKey:
     return first, relation, last
 
 
-def signed(holds: bool, confidence: float = USUAL_CONFIDENCE) -> float:
-    """Return the log-odds of one reading with a confidence from 0.5 to 1."""
-    sure = min(max(confidence, 0.5), USUAL_CONFIDENCE)
-    return math.log(sure / (1 - sure)) * (1 if holds else -1)
-
-
-def _weight(label: ReadLabel) -> float:
-    return signed(label.holds, label.confidence)
+def signed(holds: bool) -> float:
+    """Return the log-odds of one reading that affirms or denies a statement."""
+    return UNIT if holds else -UNIT
 
 
 def _vote_of(reading: PersonReading, name: str, value: str, topic: str) -> float | None:
@@ -386,10 +381,10 @@ def _vote_of(reading: PersonReading, name: str, value: str, topic: str) -> float
 def vote_of_label(label: ReadLabel, value: str) -> float:
     """Return the log-odds that a label gives for a value of its topic, 0 if the value may be said of the label too."""
     if label.value == value:
-        return _weight(label)
+        return signed(label.holds)
     excluded = label.holds and has_one_value(label.topic) and label.value not in may_be_called(value)
-    return -_weight(label) if excluded else 0.0
+    return -UNIT if excluded else 0.0
 
 
 def _truth_vote(holds: bool | None) -> float:
-    return 0.0 if holds is None else UNIT if holds else -UNIT
+    return 0.0 if holds is None else signed(holds)

@@ -5,7 +5,7 @@ The names and values of a write are the fields of the question, so that the grap
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.agent.model import decode
@@ -15,8 +15,6 @@ from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, SAME_PLACE, Field, read_
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.reference.chat_memory import OBSERVATION_SCHEMA
 from jrdb_avr.agent.reference.turns import FINAL, WRITES, NamedView, call_schema, look_schema, turn_schema
-from jrdb_avr.schema.answer_modes import Kind, mode_of
-from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import iou
@@ -195,27 +193,6 @@ def _origin(view: NamedView) -> tuple[str, int, int, tuple[int, int]]:
 
 
 # -- forms ------------------------------------------------------------------------------------------------------------
-
-
-def written_answer(answer: Answer) -> Any:
-    """Write an answer in the form of a reply.
-
-    Args:
-        answer: The answer.
-
-    Returns:
-        The JSON value that `decode.read_answer` reads as this answer.
-    """
-    mode = mode_of(answer)
-    values = [getattr(answer, name) for name, _ in mode.fields]
-    if mode.is_choice:
-        return values[0]
-    written: dict[Kind, Callable[[float], Any]] = {
-        "frame": lambda frame: f"{int(frame):06d}",
-        "angle": lambda angle: round(angle, 1),
-        "decimal": "{:g}".format,
-    }
-    return {part.key: written[part.kind](value) for part, value in zip(mode.parts, values, strict=True)}
 
 
 def world_schema(question: Question, fields: Sequence[Field], looks: bool, advised: bool) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_eviden
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message, Part
 from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.agent.perceive.fields import CANNOT_TELL, Field
+from jrdb_avr.agent.perceive.fields import Field
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.reference.tools import (
     GRAPH_TOOLS,
@@ -30,10 +30,9 @@ from jrdb_avr.agent.reference.tools import (
     read_people,
     read_relation,
     world_schema,
-    written_answer,
 )
 from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, printable, view_parts
-from jrdb_avr.schema.answer_modes import MODES, same_answer
+from jrdb_avr.schema.answer_modes import MODES, mode_of, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
@@ -182,7 +181,11 @@ class WorldMemory:
         conclusion = self._conclude()
         if conclusion is None:
             return None
-        return {"answer": written_answer(conclusion.answer), "entity": conclusion.entity, "verdict": conclusion.verdict}
+        return {
+            "answer": mode_of(conclusion.answer).written(conclusion.answer),
+            "entity": conclusion.entity,
+            "verdict": conclusion.verdict,
+        }
 
     # -- observations and writes --------------------------------------------------------------------------------------
 
@@ -281,22 +284,24 @@ class WorldMemory:
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
 
     def due_looks(self, left: int) -> Sequence[NextLook]:
-        """Return the best look, and the next one too if it searches the same frame, whatever the first one shows.
+        """Return the best look, and the next ones too while they search the same frame for a person of the plan.
 
         Args:
             left: Number of looks that are left.
 
         Returns:
-            At most two looks.
+            At most three looks, as if the looks before showed nothing.
         """
-        first = self.advised_looks(left)[:1]
-        if not first or first[0].purpose != "identify" or left == 1:
-            return first
-        frame, frames = first[0].frame, self.attempt.task.sequence.frames
-        searched = self.world.tracks.with_people(SeenColumns(int(crop_left(first[0].angle)), CROP), frame, ())
-        second = next_looks(self.plan, searched, self._likely(), left - 1, frames, 1)
-        both = second and second[0].purpose == "identify" and second[0].frame == frame
-        return (*first, *second) if both else first
+        due: list[NextLook] = []
+        tracks, frames = self.world.tracks, self.attempt.task.sequence.frames
+        advised = self.advised_looks(left)[:1]
+        while advised and (not due or (advised[0].purpose == "identify" and advised[0].frame == due[0].frame)):
+            due += advised
+            columns = SeenColumns(int(crop_left(advised[0].angle)), CROP)
+            tracks = tracks.with_people(columns, advised[0].frame, ())
+            more = due[0].purpose == "identify" and len(due) < min(left, MOST_LOOKS)
+            advised = next_looks(self.plan, tracks, self._likely(), left - len(due), frames, 1) if more else ()
+        return due
 
     def finish(self, call: Call, views: Mapping[str, NamedView], left: int, step: int) -> ParsedReply:
         """Judge a final answer by the graph.
@@ -343,7 +348,7 @@ class WorldMemory:
         ):
             return ""
         else:
-            support = compact_json(written_answer(conclusion.answer))
+            support = compact_json(mode_of(conclusion.answer).written(conclusion.answer))
             reason = f"the graph supports the answer {support} of {conclusion.entity} ({conclusion.verdict})"
         best = self._likely()[0] if self._likely() else None
         if best is not None and (parts := self._open(best)):
@@ -424,13 +429,5 @@ def world_heading(heading: str, plan: Plan, fields: Sequence[Field]) -> str:
     Returns:
         The text.
     """
-    forms = {entry.key: _form(entry) for entry in fields}
+    forms = {entry.key: entry.form() for entry in fields}
     return f"{heading}\nPlan: {canonical(plan)}\nFields: {compact_json(forms)}"
-
-
-def _form(entry: Field) -> object:
-    """Return the values of a field, without "cannot tell", because the prompt allows it for every field."""
-    if entry.kind == "statement":
-        return "yes/no"
-    form = entry.form()
-    return [label for label in form if label != CANNOT_TELL] if entry.kind == "labels" else form

@@ -117,7 +117,7 @@ def read_values(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> 
         others = [item for item in before.readings_at(entity, reading.frame) if item.observation != reading.observation]
         topics = {label.topic for item in others for label in item.labels}
         for label in reading.labels:
-            log_odds = signed(label.holds, label.confidence)
+            log_odds = signed(label.holds)
             weight = log_odds * (before.repeats.frame if label.topic in topics else 1.0)
             exclusive = has_one_value(label.topic)
             said = label.topic, label.name, label.value, log_odds, weight, exclusive
@@ -140,7 +140,7 @@ def read_relations(before: Tracks, after: Tracks, people: Sequence[tuple[str, Pe
     for entity, reading in people:
         for tie in reading.ties:
             if (target := names.get(tie.other)) is not None:
-                log_odds = signed(tie.holds, tie.confidence)
+                log_odds = signed(tie.holds)
                 weights = log_odds, log_odds * before.repeats.frame
                 relation = Relation(entity, target, reading.frame, tie.relation, *weights, "model")
                 groups[tie_key(entity, tie.relation, target), reading.frame].append(relation)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -101,12 +100,12 @@ def assemble_tracks(sightings: Rows, attributes: Rows, relations: Rows, looks: R
     """
     labels: dict[tuple[str, int], list[ReadLabel]] = defaultdict(list)
     for row in attributes:
-        labels[row["entity"], row["look"]].append(ReadLabel(row["name"], row["value"], *_read(row["log_odds"])))
+        labels[row["entity"], row["look"]].append(ReadLabel(row["name"], row["value"], row["log_odds"] > 0))
     numbers = {(row["entity"], row["look"]): row["number"] for row in sightings}
     ties: dict[tuple[str, int], list[ReadTie]] = defaultdict(list)
     for row in relations:
         look = int(row["look"].rpartition("/o")[2])
-        ties[row["source"], look].append(ReadTie(row["name"], numbers[row["target"], look], *_read(row["log_odds"])))
+        ties[row["source"], look].append(ReadTie(row["name"], numbers[row["target"], look], row["log_odds"] > 0))
     people: dict[str, tuple[PersonReading, ...]] = {}
     for row in sightings:
         key = row["entity"], row["look"]
@@ -118,8 +117,3 @@ def assemble_tracks(sightings: Rows, attributes: Rows, relations: Rows, looks: R
     for row in looks:
         columns[row["frame"]] = (*columns.get(row["frame"], ()), SeenColumns(row["left"], row["width"]))
     return Tracks(people, columns, repeats)
-
-
-def _read(log_odds: float) -> tuple[bool, float]:
-    """Return whether a reading affirms a value, and its confidence."""
-    return log_odds > 0, round(1 / (1 + math.exp(-abs(log_odds))), 9)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -20,15 +19,11 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.queries.manifest import is_public
-from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
 
 if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import RunResult
-    from jrdb_avr.engine.run.live_scores import LiveScore
     from jrdb_avr.queries.store import Store
-
-LOG_EVERY_S: Final = 30.0
-"""Minimum seconds between two printed lines of live scores if stderr is not a terminal."""
 
 
 class _Evaluation(NamedTuple):
@@ -71,8 +66,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     """Let a method answer the questions of a store with a model, and record every step as a run.
 
     If the model's server needs a key, set the environment variable OPENAI_API_KEY to the key. Before the run, the
-    command makes the checks of 'preflight'. A run can be stopped at any time and continued with --resume. The exit code
-    is 1 if a run fails, or if a question ends in an error.
+    command makes the checks of 'preflight'. A run can be stopped at any time, scored as it is, and continued with
+    --resume. The progress shows the time left, tokens, dollars and repeated requests; without a terminal, as a line per
+    minute. The exit code is 1 if a run fails, or if a question ends in an error.
 
     Examples:
       jrdb-avr evaluate --store S --method react --model simulated
@@ -182,18 +178,28 @@ def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
 
 
 def _evaluate(store: Store, evaluation: _Evaluation, scores: bool | None) -> RunResult:
-    from jrdb_avr.engine.run.evaluate import evaluate
+    from jrdb_avr.engine.run.evaluate import evaluate, name_run
 
-    terminal = sys.stderr.isatty()
-    latest, printed = "", 0.0
+    texts: dict[str, object] = {}
+    done = total = 0
+    show = scores or (scores is None and sys.stderr.isatty())
+    with progress_bar(lambda: "; ".join(map(str, texts.values()))) as progress:
 
-    def report(score: LiveScore) -> None:
-        nonlocal latest, printed
-        latest = str(score)
-        if not terminal and time.monotonic() >= printed + LOG_EVERY_S:
-            printed = time.monotonic()
-            note(f"so far: {latest}")
+        def advance(title: str, *counts: int) -> None:
+            nonlocal done, total
+            done, total = counts
+            progress(title, done, total)
 
-    live_scores = report if scores or (scores is None and terminal) else None
-    with progress_bar(lambda: latest) as progress:
-        return evaluate(store, *evaluation, progress=progress, live_scores=live_scores)
+        try:
+            return evaluate(
+                store,
+                *evaluation,
+                progress=advance,
+                usage=lambda text: texts.update(usage=text),
+                live_scores=(lambda score: texts.update(scores=score)) if show else None,
+            )
+        except (KeyboardInterrupt, RunStoppedError):
+            run_id = name_run(store, *evaluation)
+            steps = f"; or score what is finished: {scoring_steps(store.path, run_id)}" if done else ""
+            note(f"{run_id}: {done} of {total} questions are finished; go on: the same command with --resume{steps}")
+            raise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +39,6 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
     from jrdb_avr.engine.run.human import HumanDesk
     from jrdb_avr.engine.run.playing import played_run
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     run_id = default_run_id(HUMAN, name) if run_id is None else run_id
     images: Path | None = options.pop("images")
     selection = QuestionSelection(**options)

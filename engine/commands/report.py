@@ -53,6 +53,10 @@ def score(
         from jrdb_avr.engine.run.imported import import_predictions
 
         runs = (import_predictions(store, jsonl, *runs),)
+    from jrdb_avr.engine.run.run import write_partial
+
+    for run_id in runs:
+        write_partial(store, run_id)
     with warnings_as_notes():
         if bundle is not None:
             from jrdb_avr.engine.report.leaderboard import score_bundles

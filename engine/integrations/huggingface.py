@@ -4,11 +4,12 @@
     DIR/public/croissant.json                 the description of the tables in the format Croissant
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
+    DIR/private/opaque.key                    the key of the opaque names and ids
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet
 
 The answers need a private folder, because every file of a published folder can be downloaded. In the public folder,
-sequences have opaque names. The private table `names` gives the real name for each opaque name. Neither folder has
-pictures.
+sequences have opaque names. The private table `names` gives the real name for each opaque name. In both folders,
+questions have opaque ids. Neither folder has pictures.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from jrdb_avr.engine.generate.guessers import COUNTING
 from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
 from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.files import new_folder, write_bytes
-from jrdb_avr.queries.opaque import opaque_names, rename_sequences
+from jrdb_avr.queries.opaque import key_path, opaque_ids, opaque_names, rename
 from jrdb_avr.queries.questions import is_imported
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
@@ -84,6 +85,7 @@ def export_folders(
 def _write(store: Store, public: Path, private: Path, creator: str, url: str, published: datetime.date | None) -> None:
     questions, sequences, answers, _ = store.question_tables("questions", "sequences", *_PRIVATE)
     names = opaque_names(store, sequences["sequence"].to_pylist())
+    ids = opaque_ids(store, questions["question_id"].to_pylist())
     sources = _sources(store, names)
     evidence = {names[name]: kind for name, kind in store.visibility().items() if name in names}
     generation = (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
@@ -94,8 +96,11 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 
     private.mkdir(0o700)
     (private / "data").mkdir()
-    for name in _PRIVATE:
-        shutil.copyfile(store.question_path(name), private / _path(name))
+    shutil.copyfile(store.question_path("evidence"), private / _path("evidence"))
+    shutil.copyfile(key_path(store), private / key_path(store).name)
+    judged = rename(answers, "question_id", ids).sort_by("question_id")
+    kept = {key.decode(): text.decode() for key, text in (answers.schema.metadata or {}).items()}
+    write_table(private / _path("answers"), judged, answers.schema.remove_metadata(), kept)
     mapping = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
     write_table(private / _path("names"), mapping.sort_by("sequence"), _NAMES, metadata)
     shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
@@ -104,8 +109,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 
     # Rows are sorted by ids and opaque names, because an order by real names would help to guess the real names.
     tables = {
-        "questions": rename_sequences(questions, names).sort_by("question_id"),
-        "sequences": rename_sequences(sequences, names).sort_by("sequence"),
+        "questions": rename(rename(questions, "sequence", names), "question_id", ids).sort_by("question_id"),
+        "sequences": rename(sequences, "sequence", names).sort_by("sequence"),
     }
     for name, table in tables.items():
         write_table(public / _path(name), table, QUESTIONS[name], metadata)

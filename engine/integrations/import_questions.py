@@ -15,7 +15,8 @@ from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, read_regular
 from jrdb_avr.engine.report.tables import TABLES
 from jrdb_avr.engine.report.truth import is_inside
-from jrdb_avr.queries.opaque import rename_sequences
+from jrdb_avr.queries.files import write_once
+from jrdb_avr.queries.opaque import key_path, rename
 from jrdb_avr.queries.questions import is_imported
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
 from jrdb_avr.schema.answer_modes import MODES
@@ -24,6 +25,7 @@ from jrdb_avr.schema.errors import DecodeError, InputError, StoreError, did_you_
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.questions import IMPORTED_KEY
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
+from jrdb_avr.schema.wording.text import question_id
 
 _Row = dict[str, Any]
 _Text = Annotated[str, msgspec.Meta(min_length=1, max_length=10_000)]
@@ -191,7 +193,7 @@ def _import_folders(store: Store, paths: Sequence[Path]) -> int:
     if missing := names.values() - store.manifest().sequences.keys():
         raise InputError(f"sequence {min(missing)!r} of the folders is not loaded: load it first")
     for name in ("questions", "sequences"):
-        tables[name] = rename_sequences(tables[name], names).sort_by(QUESTIONS[name].names[0])
+        tables[name] = rename(tables[name], "sequence", names).sort_by(QUESTIONS[name].names[0])
     questions, answers = tables["questions"], tables["answers"].sort_by("question_id")
     metadata = tables["answers"].schema.metadata or {}
     marks = [(table.schema.metadata or {}).get(_MARK) for table in tables.values()]
@@ -199,7 +201,18 @@ def _import_folders(store: Store, paths: Sequence[Path]) -> int:
         raise InputError("the folders are of different exports: give the two folders of one 'export --hf'")
     for field in answers.schema.remove(answers.schema.get_field_index("question_id")):
         questions = questions.append_column(field, answers[field.name])
+    if IMPORTED_KEY.encode() not in metadata:  # The ids of the store are hashes of the public columns.
+        rows = tables["questions"].drop_columns("question_id").to_pylist()
+        questions = questions.set_column(0, "question_id", pa.array([question_id(**row) for row in rows]))
+    for key in (path / part / key_path(store).name for path in paths for part in (".", "private")):
+        if key.is_file() and not key_path(store).exists():
+            write_once(key_path(store), read_regular(key, 1 << 10))
     tables["rejected"] = QUESTIONS["rejected"].empty_table()
     kept = {key.decode(): text.decode() for key, text in metadata.items()}
-    publish(store, questions, {name: tables[name] for name in ("rejected", "sequences", "evidence")}, kept)
+    publish(
+        store,
+        questions.sort_by("question_id"),
+        {name: tables[name] for name in ("rejected", "sequences", "evidence")},
+        kept,
+    )
     return len(questions)

@@ -22,6 +22,7 @@ import pyarrow as pa
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular, write_lines
 from jrdb_avr.engine.report.run_scores import SCORED, Submission, predictions_path
 from jrdb_avr.queries.files import new_folder, write_bytes
+from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
@@ -82,17 +83,19 @@ def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> 
     return read_bundle(folder)
 
 
-def read_bundle(folder: str | Path) -> Bundle:
+def read_bundle(folder: str | Path, store: Store | None = None) -> Bundle:
     """Read and check a bundle.
 
     Args:
         folder: The folder of the bundle.
+        store: The store that has the answers. If the run is of a public copy of it, its ids become the store's ids.
 
     Returns:
         The bundle.
 
     Raises:
         InputError: If a file is missing, altered, too large, or in another format.
+        StoreError: If the store has no questions, or if its key is damaged.
     """
     folder = Path(folder)
     data = {name: read_regular(folder / name, largest) for name, largest in _LARGEST.items()}
@@ -104,7 +107,11 @@ def read_bundle(folder: str | Path) -> Bundle:
                 file=str(folder / name),
             )
     run = _manifest(data[_MANIFEST], folder / _MANIFEST)
-    return Bundle(folder, run, parse_lines(data[_PREDICTIONS], run.run_id, folder / _PREDICTIONS))
+    ids: dict[str, str] = {}
+    if store is not None and run.questions_sha256 == questions_hash(store, opaque := stored_ids(store)):
+        ids, named = opaque, tuple(opaque.get(name, name) for name in run.question_ids)
+        run = msgspec.structs.replace(run, questions_sha256=questions_hash(store), question_ids=named)
+    return Bundle(folder, run, parse_lines(data[_PREDICTIONS], run.run_id, folder / _PREDICTIONS, ids))
 
 
 def bundle_submission(store: Store, bundle: Bundle) -> Submission:

@@ -52,7 +52,7 @@ def direction_lines(rows: Sequence[_Row]) -> list[str]:
 def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
     unlike = {change: [name for name in _SCORES if not _alike(cells, *ends, name)] for change, ends in _CHANGES.items()}
     count = len(_CHANGES) * len(_SCORES)
-    label = " (synthetic)" if any(row["label"] for row in cells.values()) else ""
+    label = " (synthetic)" if any("synthetic" in row["label"] for row in cells.values()) else ""
     others = "; ".join(f"{change}: {', '.join(names)}" for change, names in unlike.items() if names)
     agreeing = count - sum(map(len, unlike.values()))
     return f"{about}{label}: {agreeing} of {count} directions are the paper's{others and f'; others: {others}'}"

@@ -48,7 +48,7 @@ class Leaderboard(Displayed):
 
         The scores of such a bundle do not describe JRDB.
         """
-        return any(row["label"] for row in self.rows)
+        return any(bundle.run.synthetic for entries in self.sets for bundle, _ in entries)
 
     def _summary(self) -> str:
         return f"{len(self.rows)} bundles of {len(self.sets)} question sets, evidence from IoU {self.iou:g} on"
@@ -59,6 +59,8 @@ class Leaderboard(Displayed):
 
 def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Leaderboard:
     """Score bundles and rank them by their combined score. Bundles with equal combined scores have the same rank.
+
+    A bundle without a prediction for each of its questions is partial. It comes last and has no rank.
 
     Args:
         store: The store that has the answers, or its folder.
@@ -81,11 +83,11 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
     for name, scored in sets.items():
         rows = main_rows(index, [run for _, run in scored], iou)
         pairs = sorted(zip((bundle for bundle, _ in scored), rows, strict=True), key=_order)
-        scores = [row["combined"] for _, row in pairs]
+        scores = [row["combined"] for _, row in pairs if not _is_partial(row)]
         entries = []
         for bundle, row in pairs:
             head: Line = {
-                "rank": 1 + scores.index(row["combined"]),
+                "rank": None if _is_partial(row) else 1 + scores.index(row["combined"]),
                 "questions": name,
                 "bundle": bundle.folder.name,
             }
@@ -123,7 +125,7 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
     bundles: dict[str | Path, Bundle] = {}
 
     def opened(folder: str | Path) -> Submission:
-        bundles[folder] = read_bundle(folder)
+        bundles[folder] = read_bundle(folder, store)
         return bundle_submission(store, bundles[folder])
 
     def refuse(error: StoreError | InputError) -> None:
@@ -139,6 +141,10 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
     return scored
 
 
-def _order(pair: tuple[Bundle, Line]) -> tuple[float, float, str, str]:
+def _is_partial(row: Line) -> bool:
+    return "partial" in row["label"]
+
+
+def _order(pair: tuple[Bundle, Line]) -> tuple[bool, float, float, str, str]:
     bundle, row = pair
-    return -row["combined"], -row["answer"], bundle.run.run_id, str(bundle.folder)
+    return _is_partial(row), -row["combined"], -row["answer"], bundle.run.run_id, str(bundle.folder)

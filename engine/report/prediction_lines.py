@@ -6,20 +6,23 @@ the question was asked and not answered.
     {"question_id": "0098303b6414dec4", "answer": {"choice": 2}, "evidence": {"frame": 150, "box": [10, 20, 60, 180]}}
 
 `answer` is an answer as in `schema/answers.py`. `box` is x, y, w, h in stitched pixels. The other keys are columns of
-the table `predictions`. Lines are untrusted, so the file size, the length of a line and each value have limits.
+the table `predictions`. A whole number may be written as a float, such as 2.0. Lines are untrusted, so the file size,
+the length of a line and each value have limits.
 """
 
 from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Final
 
 import msgspec
 import pyarrow as pa
 
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.method import Status, Verdict
@@ -55,7 +58,11 @@ class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, om
     seconds: _Seconds = 0.0
 
 
-_LINE: Final = msgspec.json.Decoder(PredictionLine)
+_JSON: Final = msgspec.json.Decoder()
+_WHOLE: Final = frozenset(("n_observations", "n_model_calls", "prompt_tokens", "completion_tokens")).union(
+    name for mode in MODES.values() for name, kind in mode.fields if kind in ("choice", "frame")
+)
+"""Keys of whole numbers."""
 _BOX: Final = ("x", "y", "w", "h")
 _SAME: Final = tuple(name for name in PredictionLine.__struct_fields__ if name not in ("answer", "evidence"))
 
@@ -84,13 +91,14 @@ def write_lines(predictions: pa.Table) -> Iterator[bytes]:
             raise StoreError(f"the prediction of question {question} cannot be written as JSON: {error}") from None
 
 
-def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
+def parse_lines(data: bytes, run_id: str, file: Path, stored: Mapping[str, str] = MappingProxyType({})) -> pa.Table:
     """Make the table `predictions` of a run from lines.
 
     Args:
         data: The bytes of all lines.
         run_id: The id of the run.
         file: The path of the file, for messages.
+        stored: The id in the store of each question, by opaque id. All other ids stay.
 
     Returns:
         The table, in the order of the lines.
@@ -106,7 +114,14 @@ def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
         try:
             if len(line) > LARGEST_LINE:
                 raise ValueError(f"it is longer than {LARGEST_LINE} bytes")
-            record = _LINE.decode(line)
+            record = msgspec.convert(_make_whole(_JSON.decode(line)), PredictionLine)
+            # An invalid prediction keeps its answer if only its box could not be read, for a reason.
+            partial = record.status == "invalid" and record.reason and not record.evidence
+            if record.answer and record.status != "answered" and not partial:
+                raise ValueError(
+                    f"its status is {record.status}, but it has an answer: remove the status or the answer"
+                )
+            record = msgspec.structs.replace(record, question_id=stored.get(record.question_id, record.question_id))
             if record.question_id in ids:
                 raise ValueError(f"question {record.question_id!a} comes twice")
             ids.add(record.question_id)
@@ -118,6 +133,18 @@ def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
                 f"{file}, line {line_number}: {message}", file=str(file), field=f"line {line_number}"
             ) from None
     return pa.Table.from_pylist(rows, RUNS["predictions"])
+
+
+def _make_whole(value: Any) -> Any:
+    """Turn whole numbers into integers, because pandas writes a column that has a gap as floats."""
+    if not isinstance(value, dict):
+        return value
+    fields = {key: _make_whole(field) for key, field in value.items()}
+    for key in (key for key in _WHOLE & fields.keys() if isinstance(fields[key], float)):
+        if not fields[key].is_integer():
+            raise ValueError(f"{key} must be a whole number, not {fields[key]}")
+        fields[key] = int(fields[key])
+    return fields
 
 
 def _row(line: PredictionLine, run_id: str) -> dict[str, Any]:

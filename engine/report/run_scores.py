@@ -48,7 +48,7 @@ def read_submission(store: Store, run_id: str) -> Submission:
     """
     manifest = read_run_manifest(store, run_id)
     if manifest.questions_sha256 != questions_hash(store):
-        raise StoreError(f"run {run_id} belongs to another questions file than this store's: score it in its own store")
+        raise StoreError(f"run {run_id} belongs to another questions file than this store's: score its bundle (submit)")
     path = predictions_path(store, run_id)
     return Submission(manifest, fit_schema(read_table(path, _COLUMNS), SCORED, path, "evaluate"))
 
@@ -68,7 +68,7 @@ def predictions_path(store: Store, run_id: str) -> Path:
     """
     path = store.run_path(run_id) / "predictions.parquet"
     if not path.exists():
-        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
+        raise StoreError(f"run {run_id} has no predictions yet: continue it with --resume, or score it by its name")
     return path
 
 
@@ -81,17 +81,21 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
         iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
 
     Returns:
-        The run with its scores. Its questions are in the order of `truth`.
+        The run with its scores. Its questions are those with a prediction, in the order of `truth`.
 
     Raises:
-        StoreError: If a prediction is not about a question of the run, or if the store lacks a question of the run.
+        StoreError: If a prediction is not about a question of the run, or if the store lacks a question of the run, or
+            if no question has a prediction.
         InputError: If `iou` is outside (0, 1].
     """
     manifest, predictions = submission
-    rows = np.sort(find_questions(truth.ids, manifest.run_id, manifest.question_ids))
+    answers = dict(zip(predictions["question_id"].to_pylist(), predictions["answer"].to_pylist(), strict=True))
+    played = [name for name in manifest.question_ids if name in answers]
+    if len(played) < len(manifest.question_ids) and not played:
+        raise StoreError(f"run {manifest.run_id} has no prediction of its questions: continue it with --resume")
+    rows = np.sort(find_questions(truth.ids, manifest.run_id, played))
     ids = truth.ids.take(pa.array(rows)).to_pylist()
     scores = score_predictions(truth, manifest.run_id, ids, predictions, iou)
-    answers = dict(zip(predictions["question_id"].to_pylist(), predictions["answer"].to_pylist(), strict=True))
     return ScoredRun(
         manifest,
         rows,

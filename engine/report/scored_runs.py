@@ -83,7 +83,7 @@ class ScoredRun:
         manifest: The run's manifest.
         rows: Indexes in `ids` of the run's questions, ascending. Shape: (n,).
         table: The rows of the table `scores`.
-        errors: Number of questions that ended in an error or have no prediction.
+        errors: Number of questions that ended in an error.
         answers: The predicted answer to each of the n questions as JSON, or None without an answer.
     """
 
@@ -105,8 +105,14 @@ class ScoredRun:
         return invalid
 
     @property
+    def label(self) -> str:
+        """Text that marks a run in tables: synthetic, partial if some questions have no prediction, or both."""
+        marks, total = ["synthetic"] if self.manifest.synthetic else [], len(self.manifest.question_ids)
+        return ", ".join([*marks, f"partial, {self.n} of {total}"] if self.n < total else marks)
+
+    @property
     def n(self) -> int:
-        """Number of questions of the run."""
+        """Number of questions of the run that have a prediction."""
         return len(self.rows)
 
 

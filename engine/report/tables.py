@@ -106,8 +106,7 @@ def interval_label(sequences: int) -> str:
 def run_names(run: ScoredRun) -> Line:
     """Return the first columns of a run's row in a table: run, method, model and label."""
     manifest = run.manifest
-    label = "synthetic" if manifest.synthetic else ""
-    return {"run": manifest.run_id, "method": manifest.method, "model": manifest.model, "label": label}
+    return {"run": manifest.run_id, "method": manifest.method, "model": manifest.model, "label": run.label}
 
 
 def _percent(share: float | None) -> float | None:
@@ -300,7 +299,7 @@ def _name(run: ScoredRun) -> tuple[str, str, str]:
 
 
 def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
-    """Sort runs by their combined score, the best run first.
+    """Sort runs by their combined score, the best run first. Partial runs come last, because they cannot be ranked.
 
     Args:
         runs: Scored runs.
@@ -308,7 +307,9 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
     Returns:
         The sorted runs. Runs with equal scores are in the order of method, model and run id.
     """
-    return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
+    return sorted(
+        runs, key=lambda run: ("partial" in run.label, -run.scores[:, 2].mean() if run.n else 0.0, *_name(run))
+    )
 
 
 RESULTS: Final = ("evidence_failures", "cost")

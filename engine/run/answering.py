@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 from jrdb_avr.engine.run.journal import Finished, finished_entry, unanswered
 from jrdb_avr.schema.beliefs import Write
-from jrdb_avr.schema.errors import AvrError, RunStoppedError
+from jrdb_avr.schema.errors import AvrError, FilteredError, RunStoppedError
 from jrdb_avr.schema.method import (
     GetPanorama,
     Method,
@@ -80,7 +80,8 @@ def answer_one(
             `stopped` returns True, the question ends without an entry.
 
     Returns:
-        The entry for the journal. Its status is "error" if the method raises an exception or returns no prediction.
+        The entry for the journal. Its status is "error" if the method raises an exception or returns no prediction, and
+            "invalid" if a content filter refuses a prompt.
 
     Raises:
         RunStoppedError: If no further question can be answered now, for example at the cost limit of the run.
@@ -124,7 +125,7 @@ def answer_one(
             raise
         kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
         failed = Prediction(
-            status="error",
+            status="invalid" if isinstance(error, FilteredError) else "error",
             reason=_reason(error),
             n_observations=calls["look"],
             n_model_calls=kinds.count("model"),

@@ -22,7 +22,7 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import select_questions
 from jrdb_avr.queries.manifest import MANIFEST_NAME
-from jrdb_avr.queries.opaque import opaque_names
+from jrdb_avr.queries.opaque import opaque_ids, opaque_names
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
@@ -38,7 +38,7 @@ class Bench:
         episode = bench.episode(bench.questions[0].question_id)
 
     Attributes:
-        questions: The selected questions. If names are opaque, the questions have the opaque names of their sequences.
+        questions: The selected questions. If names are opaque, so are their ids and the names of their sequences.
         sequences: All sequences of the store, by name. If names are opaque, the keys are the opaque names.
         observed: The sequences of the questions in `questions`, sorted by real name.
         observer: The source of the pictures of the sequences in `observed`.
@@ -63,7 +63,12 @@ class Bench:
             raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
         names = opaque_names(store, known_sequences) if opaque else {name: name for name in known_sequences}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in known_sequences.items()}
-        self.questions = [replace(row.to_question(), sequence=names[row.sequence]) for row in questions]
+        stored = [row.question_id for row in questions]
+        ids = opaque_ids(store, stored) if opaque else dict(zip(stored, stored, strict=True))
+        self.questions = [
+            replace(row.to_question(), question_id=ids[row.question_id], sequence=names[row.sequence])
+            for row in questions
+        ]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}
         chosen = {question.sequence for question in questions}

@@ -28,7 +28,7 @@ from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
-from jrdb_avr.engine.run.journal import world_rows
+from jrdb_avr.engine.run.journal import Finished, world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
     ADVISED,
@@ -120,10 +120,12 @@ def evaluate(
     *,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
+    usage: Callable[[str], None] | None = None,
 ) -> RunResult:
     """Let a method answer questions of a store, and record every step in `runs/<run_id>/`.
 
-    A problem that does not stop the run is reported as an AvrWarning.
+    A problem that does not stop the run is reported as an AvrWarning. If the run stops early, its tables have the
+    questions that are finished.
 
     Args:
         store: The store, or its folder. A public store (`export --public`) is enough.
@@ -134,6 +136,8 @@ def evaluate(
         progress: Called at the start and after each finished question, with a title, the number of finished questions
             and the number of all questions.
         live_scores: Called from another thread with the scores so far, each time they change.
+        usage: Called after each finished question with a text: the tokens of the run so far, their cost if the price is
+            known, and the number of repeated requests.
 
     Returns:
         The result of the run, which has the run id and the table `predictions`.
@@ -177,17 +181,38 @@ def evaluate(
         manifest = run.start(player.name, model, ids, settings, simulated or bench.synthetic, selection)
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
+        if usage is not None and endpoint is not None:
+            run.listeners.append(_usage_listener(run, endpoint, usage))
         advance = step_counter(progress, f"{_name(method)}, {model}", len(chosen))
         see = bench.observer
-        answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
+        try:
+            answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
+        except BaseException:
+            if run.finished:
+                run.finish()
+            raise
         if world is not None:
-            # The counts are written before the tables, because a run with the table `predictions` counts as complete.
+            # The counts are written before the tables, because a run with all its predictions counts as complete.
             add_world_counts(store, run_id, world.graph.counts | {"cpu_ms": round(1000 * sum(world.graph.seconds))})
             _merge_world(run)
         predictions = run.finish()
         for line in [] if endpoint is None else endpoint.changed():
             warnings.warn(line, AvrWarning, stacklevel=2)
     return RunResult(run_id, predictions, manifest.synthetic, options.endpoint.price)
+
+
+def _usage_listener(run: Run, endpoint: Endpoint, usage: Callable[[str], None]) -> Callable[[Finished], None]:
+    """Return a listener of the run that reports the tokens, the cost and the repeated requests so far."""
+    price, sums = endpoint.client.options.price, Counter[str]()
+
+    def count(entry: Finished) -> None:
+        sums.update({name: entry.prediction[name] for name in _TOKENS})
+        cost = "" if price is None else f", {price.cost(*(sums[name] for name in _TOKENS)):.4g} dollars"
+        usage(f"{sums.total():,} tokens{cost}, {endpoint.client.retries} retries")
+
+    for entry in run.finished.values():
+        count(entry)
+    return count
 
 
 def check_options(method: str | Method, model: str, options: EvaluateOptions) -> None:

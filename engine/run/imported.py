@@ -15,6 +15,7 @@ from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, r
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.run import has_manifest
 from jrdb_avr.engine.run.selection import matching
+from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -29,7 +30,8 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     """Import a file of predictions as a run.
 
     The file has one prediction per line, as JSON (`report.prediction_lines`). The questions of the run are the
-    questions that the lines name. If an import was killed, another import of the same file finishes the run.
+    questions that the lines name, by their ids in the store or by opaque ids. If an import was killed, another import
+    of the same file finishes the run.
 
     Args:
         store: The store, or its folder.
@@ -48,7 +50,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     data = read_regular(path, LARGEST_FILE)
     settings = {"from": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     begun = _has_begun(store, run_id, settings)
-    predictions = parse_lines(data, run_id, path)
+    predictions = parse_lines(data, run_id, path, stored_ids(store))
     if not len(predictions):
         raise InputError(f"{path} holds no prediction", file=str(path))
     selection = QuestionSelection.of(predictions["question_id"].to_pylist())

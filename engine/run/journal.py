@@ -15,6 +15,7 @@ import operator
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple, get_args
 
 import msgspec
@@ -112,6 +113,11 @@ def finished_entry(
     return entry
 
 
+def with_id(entry: Finished, question_id: str) -> Finished:
+    """Return an entry with another id of its question, also in the rows and keys of its world model."""
+    return _FINISHED.decode(msgspec.json.encode(entry).replace(entry.question_id.encode(), question_id.encode()))
+
+
 def _check(entry: Finished, question: Question) -> None:
     """Raise ValueError or a msgspec error if an entry is invalid, or if storing would change the entry."""
     line, row = msgspec.json.encode(entry), entry.prediction
@@ -165,14 +171,17 @@ class LinePosition(NamedTuple):
 class KeptEntries(Mapping[str, Finished]):
     """Entries of a journal by question id. Each access reads an entry from disk, because entries may be large."""
 
-    def __init__(self, folder: Path, positions: dict[str, LinePosition]) -> None:
+    def __init__(
+        self, folder: Path, positions: dict[str, LinePosition], aliases: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         """Store where the entries are.
 
         Args:
             folder: The folder of the journal.
             positions: The position of each question's line in the journal, by question id.
+            aliases: Question ids by other ids, which give the same entries.
         """
-        self._folder, self._positions = folder, positions
+        self._folder, self._positions, self._aliases = folder, positions, aliases
 
     def add(self, question_id: str, position: LinePosition) -> None:
         """Store the position of a question's line, in place of the position of an earlier line of this question."""
@@ -191,7 +200,9 @@ class KeptEntries(Mapping[str, Finished]):
             yield [name for _, name in rows]
 
     def __getitem__(self, question_id: str) -> Finished:
-        position = self._positions[question_id]
+        position = self._positions[
+            question_id if question_id in self._positions else self._aliases.get(question_id, "")
+        ]
         path = segment_path(self._folder, position.sequence)
         try:
             with path.open("rb") as file:
@@ -251,19 +262,22 @@ class Journal(contextlib.ExitStack):
     The question that finished first has the first line. If a question has several lines, the last line counts.
     """
 
-    def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:
+    def __init__(
+        self, folder: Path, sequence_of: Mapping[str, str], aliases: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         """Open the journal and take its lock. If the last line of a file was cut off by a crash, remove the line.
 
         Args:
             folder: The folder of the journal.
             sequence_of: The sequence of each question that may be added, by question id.
+            aliases: Question ids by other ids, by which entries can also be read.
 
         Raises:
             LockedError: If another process holds the lock.
             StoreError: If a line other than a cut-off last line is damaged, or if the folder cannot be written.
         """
         super().__init__()
-        self._folder, self._sequence_of = folder, sequence_of
+        self._folder, self._sequence_of, self._aliases = folder, sequence_of, aliases
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self.enter_context(journal_lock(folder, ", or give another --run-id"))
@@ -287,7 +301,7 @@ class Journal(contextlib.ExitStack):
                         break
                     positions[_read_line(path, line_number, line)] = LinePosition(path.stem, whole, len(line))
                     whole += len(line)
-        return KeptEntries(self._folder, positions)
+        return KeptEntries(self._folder, positions, self._aliases)
 
     def append(self, entry: Finished) -> None:
         """Append the entry of a finished question, and return when it is on disk. Raise StoreError if writing fails."""

@@ -140,10 +140,11 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
 
     from jrdb_avr.engine.report.scoring import score_predictions
     from jrdb_avr.engine.report.truth import read_truth
+    from jrdb_avr.queries.opaque import stored_ids
     from jrdb_avr.schema.tables import RUNS
 
     try:
-        truth = read_truth(store)
+        truth, stored = read_truth(store), stored_ids(store)
     except (AvrError, OSError) as error:
         print(" ".join(str(error).split()), flush=True)
         return
@@ -151,6 +152,7 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
     print(_READY, flush=True)
     for line in lines:
         row = {"run_id": "", **msgspec.json.decode(line)}
+        row["question_id"] = stored.get(row["question_id"], row["question_id"])
         if row["question_id"] not in ids:
             print(_UNKNOWN, flush=True)
             continue

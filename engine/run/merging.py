@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import shutil
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from jrdb_avr.engine.run.selection import draw_questions, matching
 from jrdb_avr.queries.beliefs.graph import open_graph
 from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.files import write_atomic
+from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.questions import read_question_rows
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store
@@ -27,13 +29,14 @@ from jrdb_avr.schema.errors import StoreError
 
 _KEYS: Final = ("run", "id", "episode", "source", "target", "look")
 """Fields of a fact (`schema.beliefs.Fact`) that hold the run id, or a text that begins with the run id."""
+_id: Final = attrgetter("question_id")
 
 
 def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -> pa.Table:
     """Join all shards of a run in one new run. The shards remain in the store.
 
     Args:
-        store: The store, or its folder. The shards are runs of this store.
+        store: The store, or its folder. The shards are runs of this store, or of a public copy of it.
         run_ids: The run ids of all shards.
         run_id: The id of the new run.
 
@@ -62,7 +65,8 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
         has_world = first.method in WORLD_METHODS and store.graph_path.exists()
         graph = stack.enter_context(open_graph(store.graph_path)) if has_world else None
         run = stack.enter_context(Run(store, run_id))
-        ids = [name for manifest in manifests for name in manifest.question_ids]
+        opaque = stored_ids(store)
+        ids = [opaque.get(name, name) for manifest in manifests for name in manifest.question_ids]
         run.start(first.method, first.model, ids, first.settings, synthetic, selection)
         for manifest, finished in zip(manifests, answers, strict=True):
             add_world_counts(store, run_id, manifest.world)
@@ -78,8 +82,13 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
     """Return the selection of the whole run. Raise StoreError if the runs are not exactly the shards of one run."""
     first, shards = manifests[0], [_shard(manifest) for manifest in manifests]
     whole, (_, count) = shards[0]
+    rows, opaque = read_question_rows(store), stored_ids(store)
+    if public := first.questions_sha256 == questions_hash(store, opaque):
+        ids_of = dict(zip(opaque.values(), opaque, strict=True))
+        rows = sorted((dataclasses.replace(row, question_id=ids_of[row.question_id]) for row in rows), key=_id)
+    questions = questions_hash(store, opaque if public else None)
     for manifest, (selection, (_, shard_count)) in zip(manifests, shards, strict=True):
-        if manifest.questions_sha256 != questions_hash(store):
+        if manifest.questions_sha256 != questions:
             raise StoreError(f"run {manifest.run_id!r} has other questions than the store has now")
         sizes = "selection" if selection != whole else "number of shards" if shard_count != count else ""
         if what := find_difference(first, manifest) or sizes:
@@ -89,7 +98,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
     if len(numbers) != count or numbers != list(range(1, count + 1)):
         raise StoreError(f"the runs are the shards {', '.join(map(str, numbers))} of {count}: give each shard once")
     ids = sorted(name for manifest in manifests for name in manifest.question_ids)
-    if ids != sorted(row.question_id for row in draw_questions(matching(read_question_rows(store), whole), whole)):
+    if ids != sorted(map(_id, draw_questions(matching(rows, whole), whole))):
         raise StoreError("the shards together have other questions than their selection has on this store")
     return whole.record()
 

@@ -93,7 +93,8 @@ class MethodOptions(Options):
     )
     opaque: bool = option(
         False,
-        "Replace the names of sequences by hashes in all that the method sees. All runs of a store share the hashes.",
+        "Replace names of sequences and ids of questions by hashes in all that the method sees. The hashes are equal "
+        "in all runs of a store.",
     )
     simulate: tuple[str, ...] = option(
         (),

@@ -18,7 +18,7 @@ import pyarrow as pa
 from jrdb_avr.engine.run.bench import find_images
 from jrdb_avr.queries.files import new_folder
 from jrdb_avr.queries.manifest import Manifest
-from jrdb_avr.queries.opaque import opaque_names, rename_sequences
+from jrdb_avr.queries.opaque import opaque_ids, opaque_names, rename
 from jrdb_avr.queries.questions import HIDDEN
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.errors import AvrWarning, StoreError
@@ -39,7 +39,7 @@ _NEXT_MARKER: Final = re.compile(rb"(?<!\xff)\xff+[^\x00\xd0-\xd7\xff]")
 
 
 def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = False) -> int:
-    """Write a public store.
+    """Write a public store. Its questions have opaque ids.
 
     Args:
         store: The store, or its folder.
@@ -61,6 +61,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
         raise StoreError(f"{store.path} was loaded without panoramas: a public store needs them")
     real = sequences["sequence"].to_pylist()
     names = opaque_names(store, real) if opaque else dict(zip(real, real, strict=True))
+    questions = rename(questions, "question_id", opaque_ids(store, questions["question_id"].to_pylist()))
     metadata = {"canary": CANARY}
     if generation := (questions.schema.metadata or {}).get(GENERATION_KEY.encode()):
         metadata[GENERATION_KEY] = generation.decode()
@@ -68,10 +69,8 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
         public = Store(made)
         for name, table in (("questions", questions), ("sequences", sequences)):
             schema = pa.schema([field for field in QUESTIONS[name] if field.name not in HIDDEN])
-            renamed = rename_sequences(table.select(schema.names), names)
-            if opaque:
-                # The rows are sorted anew, because the order of the real names would reveal which sequence is which.
-                renamed = renamed.sort_by(schema.names[0])
+            # The rows are sorted anew, because the order of the real names and ids would help to guess them.
+            renamed = rename(table.select(schema.names), "sequence", names).sort_by(schema.names[0])
             write_table(public.question_path(name), renamed, schema, metadata)
         frames = dict(zip(real, sequences["frames"].to_pylist(), strict=True))
         copied = sum(_copy_pictures(Path(root, name), made / _IMAGES / names[name], frames[name]) for name in real)

@@ -2,7 +2,7 @@
 
 runs/<run_id>/run.json                    the manifest, written first: questions, method, model and settings
 runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, written when the question finishes
-runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
+runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends or stops
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from typing import Any, Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, write_tables
+from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, with_id, write_tables
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import matching, select_questions
+from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -56,7 +57,8 @@ class Run(Journal):
             StoreError: If the journal is damaged, if it cannot be written, or if it has answers but no manifest.
         """
         folder = store.run_path(run_id)
-        super().__init__(journal_folder(folder), sequences_of_questions(store))
+        self._stored_ids = stored_ids(store)
+        super().__init__(journal_folder(folder), sequences_of_questions(store), self._stored_ids)
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False
@@ -111,12 +113,14 @@ class Run(Journal):
         """Append the entry of a finished question to the journal, and return when it is on disk.
 
         Args:
-            entry: The entry.
+            entry: The entry. If its question has an opaque id, the journal gets the id in the store.
 
         Raises:
             StoreError: If writing fails, or if `finish` has already been called. For example, a player's last move may
                 arrive while the run ends.
         """
+        if stored := self._stored_ids.get(entry.question_id):
+            entry = with_id(entry, stored)
         with self._writing:
             if self._over:
                 raise StoreError(f"run {self.run_id!r} has ended: play this question again with --resume")
@@ -130,6 +134,22 @@ class Run(Journal):
             self._over = True
         ids = read_run_manifest(self.store, self.run_id).question_ids
         return write_tables(self.store, self.run_id, self.finished.of(ids))
+
+
+def write_partial(store: Store, run_id: str) -> None:
+    """Write the tables of the finished questions if a run has none, because its process was killed.
+
+    Args:
+        store: The store of the run.
+        run_id: The id of the run.
+
+    Raises:
+        LockedError: If the run is in progress.
+    """
+    if has_manifest(store, run_id) and not (store.run_path(run_id) / "predictions.parquet").exists():
+        with Run(store, run_id) as run:
+            if run.finished:
+                run.finish()
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:

@@ -94,6 +94,7 @@ class Benchmark:
                     "run_id": run_id,
                     "question_id": name,
                     "status": "answered" if choice and box else "invalid",
+                    "reason": "" if choice and box else "unreadable",
                     "answer": None if choice is None else encode_answer(Choice(choice)),
                     "evidence_frame": None if box is None else frame,
                     **{f"evidence_{key}": value for key, value in where.items()},

@@ -25,7 +25,7 @@ from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcr
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.reply import Reply, read_completion
 from jrdb_avr.agent.model.transport import Bounds
-from jrdb_avr.schema.errors import EndpointError, RunStoppedError, StoreError
+from jrdb_avr.schema.errors import EndpointError, FilteredError, RunStoppedError, StoreError
 
 ASK = [Message("user", ("hello",))]
 OBJECT = '{"answer": 2}'
@@ -87,6 +87,7 @@ def test_pictures_travel_inline():
         Status(429),
         Status(500),
         Status(503),
+        *map(Status, (408, 409, 424, 498)),
         CutOff("hi"),
         Body(b"<html>bad gateway</html>", "text/html"),
         Body(b'{"choices": []}'),
@@ -327,11 +328,40 @@ def test_a_reply_that_never_begins_is_given_up(said):
 
 
 @pytest.mark.parametrize(
-    ("code", "remedy"), [(400, ""), (401, "OPENAI_API_KEY"), (403, "OPENAI_API_KEY"), (404, "--base-url"), (422, "")]
+    ("code", "reason", "remedy"),
+    [
+        (400, "no", "no$"),
+        (401, "no", "OPENAI_API_KEY"),
+        (402, "no", "no credit"),
+        (403, "no", "OPENAI_API_KEY"),
+        (403, "Your account is suspended: content policy", "OPENAI_API_KEY"),
+        (404, "no", "--base-url"),
+        (422, "no", "no$"),
+        (400, "Your credit balance is too low", "no credit"),
+        (400, "Unrecognized request argument supplied: chat_template_kwargs", "--thinking template"),
+        (400, "This model only supports stream mode", "must come whole"),
+    ],
 )
-def test_a_refusal_is_not_tried_again_and_says_what_to_do(code, remedy):
-    words = f"HTTP {code}.*{remedy}"
-    with FakeServer(sequence_of(Status(code, "no"))) as server, pytest.raises(EndpointError, match=words):
+def test_a_refusal_is_not_tried_again_and_says_what_to_do(code, reason, remedy):
+    words = f"HTTP {code}: {reason}.*{remedy}" if remedy != "no$" else f"HTTP {code}: no$"
+    with FakeServer(sequence_of(Status(code, reason))) as server, pytest.raises(EndpointError, match=words) as caught:
+        client(server)[0].complete(ASK)
+    assert len(server.requests) == 1
+    assert isinstance(caught.value, RunStoppedError) == (code == 401 or "credit" in remedy)
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [
+        (400, {"message": "The response was filtered due to the prompt", "code": "content_filter"}),
+        (400, {"message": "no", "code": "data_inspection_failed"}),
+        (400, {"message": "Content Exists Risk", "code": "invalid_request_error"}),
+        (403, {"message": "The model requires moderation. Your input was flagged for violence", "code": 403}),
+    ],
+)
+def test_a_filtered_prompt_is_a_refusal_of_the_question(code, error):
+    body = Body(json.dumps({"error": error}).encode(), code=code)
+    with FakeServer(sequence_of(body)) as server, pytest.raises(FilteredError, match=r"^refused: content filter$"):
         client(server)[0].complete(ASK)
     assert len(server.requests) == 1
 

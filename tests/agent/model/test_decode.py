@@ -170,6 +170,7 @@ def test_what_was_thought_is_never_what_was_said(thoughts, words, model):
     [
         ("multiple_choice", 1, Choice(1)),
         ("multiple_choice", 4, Choice(4)),
+        ("multiple_choice", 2.0, Choice(2)),
         ("frame", {"frame_id": "000150"}, FrameAnswer(150)),
         ("span", {"start_frame": "000010", "end_frame": "000010"}, Span(10, 10)),
         ("frame_viewpoint", {"frame_id": "000999", "angle_deg": -30}, FrameViewpoint(999, 330.0)),
@@ -187,7 +188,8 @@ def test_answers_that_fit(mode, value, answer):
         ("multiple_choice", 0),
         ("multiple_choice", 5),
         ("multiple_choice", True),
-        ("multiple_choice", 2.0),
+        ("multiple_choice", 2.5),
+        ("multiple_choice", 1e400),
         ("multiple_choice", "2"),
         ("multiple_choice", "B"),
         ("multiple_choice", "sitting"),

@@ -10,7 +10,7 @@ import yaml
 from processes import run
 
 from jrdb_avr.engine.integrations.huggingface import export_folders, licence_of, sources_of
-from jrdb_avr.queries.opaque import key_path
+from jrdb_avr.queries.opaque import key_path, stored_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import RAI, SAMPLE, SOURCES
 from jrdb_avr.schema.errors import InputError
@@ -55,8 +55,8 @@ def test_both_folders_load_by_their_configs(store, folders, datasets, tmp_path):
     names = datasets.load_dataset(str(private), "names", split="test", cache_dir=str(tmp_path))
     real = {row["sequence"]: row["name"] for row in names}
     for name, found in own.items():
-        # With the names put back, these are the store's tables.
-        back = [{**row, "sequence": real[row["sequence"]]} for row in found]
+        # With the names and ids put back, these are the store's tables.
+        back = [{**row, "sequence": real[row["sequence"]]} for row in with_stored(found, store)]
         key = QUESTIONS[name].names[0]
         assert sorted(back, key=lambda row: row[key]) == sorted(
             store.questions(name).to_pylist(), key=lambda row: row[key]
@@ -66,7 +66,14 @@ def test_both_folders_load_by_their_configs(store, folders, datasets, tmp_path):
     )
     for name in ("answers", "evidence"):
         found = datasets.load_dataset(str(private), name, split="test", cache_dir=str(tmp_path))
-        assert sorted(found.data.table.to_pylist(), key=str) == sorted(store.questions(name).to_pylist(), key=str)
+        rows = with_stored(found.data.table.to_pylist(), store)
+        assert sorted(rows, key=str) == sorted(store.questions(name).to_pylist(), key=str)
+
+
+def with_stored(rows, store):
+    """Rows with the store's ids of questions in place of opaque ids."""
+    stored = stored_ids(store)
+    return [{**row, "question_id": stored[row["question_id"]]} if "question_id" in row else row for row in rows]
 
 
 @pytest.mark.slow
@@ -113,7 +120,7 @@ def test_nothing_private_is_in_the_public_folder(store, folders):
         assert set(file.schema_arrow.metadata) <= {b"canary", b"generation", b"ARROW:schema"}
         shown += json.dumps(file.read().to_pylist(), ensure_ascii=False).encode()
     answers, evidence = store.questions("answers"), store.questions("evidence")
-    hidden = set(store.questions("sequences")["sequence"].to_pylist())
+    hidden = set(store.questions("sequences")["sequence"].to_pylist()) | set(answers["question_id"].to_pylist())
     for column in ("plan", "proofs", "needed", "bindings", "rules"):
         hidden |= set(answers[column].to_pylist())
     hidden |= {json.dumps(value)[1:-1] for value in hidden}

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import subprocess
 
 import msgspec
@@ -15,6 +16,7 @@ from scored_runs import stored_failures
 from jrdb_avr.engine.report.bundle import read_bundle, write_bundle
 from jrdb_avr.engine.report.comparison import score
 from jrdb_avr.engine.report.leaderboard import leaderboard, score_bundles
+from jrdb_avr.engine.report.prediction_lines import parse_lines
 from jrdb_avr.engine.run.imported import import_predictions
 from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store, read_table
@@ -58,7 +60,25 @@ def test_a_line_needs_an_id_alone(store, tmp_path):
     assert (row["n"], row["answer"], row["evidence"], row["invalid"]) == (2, 50.0, 0.0, 0.0)
 
 
+def test_whole_numbers_written_as_floats_are_read(store, tmp_path):
+    line = b'{"question_id": "scores", "answer": {"choice": 1}, "evidence": {"frame": 7, "box": [1, 2, 3, 4]}, '
+    line += b'"n_model_calls": 3, "prompt_tokens": 40}'
+    floats = re.sub(rb"(\d)(?=[},])", rb"\1.0", line)
+    assert floats.count(b".0") == 7
+    assert parse_lines(floats, "r", tmp_path).equals(parse_lines(line, "r", tmp_path))
+    for answer in ({"frame": 7}, {"start_frame": 7, "end_frame": 9}, {"frame": 7, "angle_deg": 7.5}):
+        text = json.dumps({"question_id": "loose", "answer": {key: float(value) for key, value in answer.items()}})
+        assert json.loads(parse_lines(text.encode(), "r", tmp_path)["answer"][0].as_py()) == answer
+
+
 BROKEN = {
+    "half a choice": (b'{"question_id": "loose", "answer": {"choice": 2.5}}', "line 1: choice must be a whole number"),
+    "half a frame": (b'{"question_id": "loose", "evidence": {"frame": 1.5, "box": [1, 2, 3, 4]}}', "whole number"),
+    "a failed answer": (b'{"question_id": "loose", "status": "error", "answer": {"choice": 2}}', "line 1: its status"),
+    "an invalid answer": (
+        b'{"question_id": "loose", "status": "invalid", "answer": {"choice": 2}}',
+        "line 1: its status is invalid",
+    ),
     "no JSON": (b"{", "line 1"),
     "another key": (b'{"question_id": "loose", "score": 1}', "unknown field `score`"),
     "a key of two lines": (b'{"question_id": "loose", "a\\nb": 1}', "unknown field `a b`"),
@@ -217,6 +237,10 @@ def test_bundles_are_ranked_among_those_of_the_same_questions(store, tmp_path):
     found = [[(row["rank"], row["run"], row["n"]) for _, row in entries] for entries in board.sets]
     assert found == [[(1, "r", 13), (1, "r", 13), (1, "same", 13), (4, "worse", 13)], [(1, "few", 1)]]
     assert len({row["questions"] for _, row in board.sets[0]}) == 1
+    store.write_run("same", "predictions", read_table(store.run_path("same") / "predictions.parquet").slice(0, 2))
+    partial = write_bundle(store, "same", tmp_path / "partial").folder
+    rows = leaderboard(store, [partial, folders[1]]).rows
+    assert [(row["rank"], row["run"], row["n"]) for row in rows] == [(1, "worse", 13), (None, "same", 2)]
     assert board.sets[0][0][1]["questions"] != board.sets[1][0][1]["questions"]
     for bundle, ranked in (entry for entries in board.sets for entry in entries):
         (row,) = score_bundles(store, [bundle.folder]).rows

@@ -1,8 +1,10 @@
 """Runs: the journal, resuming, what is opened, what is kept; over real sockets and in real processes."""
 
 import json
+import os
 import resource
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -21,13 +23,14 @@ from environment import ROOT
 from fake_server import BACKBONES, FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
-from painted import BLIND, FRAMES, POSES, QUESTIONS_ASKED, SEQUENCE, question
+from painted import BLIND, FRAMES, POSES, QUESTIONS_ASKED, SEQUENCE, question, write_answers
 from scored_runs import InMemory, journal_lines, opened
 
 from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.engine.commands.evaluate import command
+from jrdb_avr.engine.commands.report import score
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.evaluate import default_run_id
@@ -35,7 +38,7 @@ from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.card import is_of_sample
-from jrdb_avr.schema.errors import AvrError, InputError, LockedError, RunStoppedError, StoreError
+from jrdb_avr.schema.errors import AvrError, FilteredError, InputError, LockedError, RunStoppedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -317,10 +320,36 @@ def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
         folder = store.run_path("react-fake")
         kept = [json.loads(line) for line in journal_lines(folder)]
         assert len(kept) < 4 and not any(entry["prediction"]["status"] == "error" for entry in kept)
-        assert not (folder / "predictions.parquet").exists()
+        assert "the same command with --resume" in result.stderr
+        assert len(predictions(store, "react-fake")) == len(kept) if kept else "score" not in result.stderr
         away = False
         (row,) = json.loads(evaluate(store, *options, "--resume").stdout)
         assert (row["n"], row["error"]) == (4, 0)
+
+
+def test_a_run_that_is_interrupted_or_killed_is_scored_as_partial(store):
+    """Ctrl-C writes what is finished. A killed run has its journal alone, and `score` writes its tables."""
+    write_answers(store)
+    signals = [signal.SIGINT]
+
+    def script(request, n):
+        if signals and journal_lines(store.run_path("react-fake")):
+            os.kill(os.getpid(), signals.pop())
+        return json.dumps({"action": "observe", "frame_id": "000000", "angle_deg": 10 * (n % 36)})
+
+    with FakeServer(sound(script)) as server:
+        options = ("--model", "fake", "--base-url", server.url, "--limit", "4", "--concurrency", "1")
+        result = evaluate(store, *options, ok=False)
+    kept = len(predictions(store, "react-fake"))
+    assert 0 < kept < 4 and result.exit_code
+    line = f"react-fake: {kept} of 4 questions are finished; go on: the same command with --resume; or score"
+    assert line in result.stderr and f"jrdb-avr score --store {store.path} react-fake" in result.stderr
+    for killed in (False, True):
+        if killed:
+            (store.run_path("react-fake") / "predictions.parquet").unlink()
+        scored = CliRunner().invoke(score, ["--store", str(store.path), "react-fake", "--json"])
+        (row,) = json.loads(scored.stdout)
+        assert (row["n"], row["label"]) == (kept, f"partial, {kept} of 4")
 
 
 def test_a_run_that_reaches_its_cost_stops_and_goes_on_with_more(store, tmp_path, monkeypatch):
@@ -552,7 +581,15 @@ def no_look(sequence, frame_index, angle_deg):
 
 @pytest.mark.parametrize(
     "error",
-    [ValueError("bad\nthing"), AvrError("no way"), RecursionError(), MemoryError(), SystemExit(0), GeneratorExit()],
+    [
+        ValueError("bad\nthing"),
+        AvrError("no way"),
+        FilteredError("refused"),
+        RecursionError(),
+        MemoryError(),
+        SystemExit(0),
+        GeneratorExit(),
+    ],
 )
 def test_whatever_a_method_raises_is_an_error_row(error):
     def behave(task):
@@ -560,7 +597,8 @@ def test_whatever_a_method_raises_is_an_error_row(error):
         raise error
 
     finished = answering.answer_one(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
-    assert finished.failed
+    assert finished.failed != isinstance(error, FilteredError)
+    assert finished.prediction["status"] == ("error" if finished.failed else "invalid")
     assert "\n" not in finished.prediction["reason"]
     assert finished.prediction["n_model_calls"] == 1
     assert len(finished.steps) == 1

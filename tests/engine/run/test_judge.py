@@ -88,7 +88,11 @@ def test_an_opaque_bench_never_says_the_name_of_a_sequence(judged):
     ids = [QUESTIONS_ASKED[0].question_id]
     bench = Bench.open(judged, questions=ids, opaque=True)
     steps = []
-    episode = bench.episode(ids[0], record=steps.append)
+    (question,) = bench.questions
+    assert question.question_id not in ids
+    with Judge.open(judged) as judge:
+        assert judge.score(question, Prediction("answered")) == (0, 0, 0, False)
+    episode = bench.episode(question.question_id, record=steps.append)
     seen = episode.observe(15, 180.0)
     said = f"{bench.questions} {bench.sequences} {episode.prompt} {seen} {steps}"
     assert "painted" not in said and "sequence-" in said

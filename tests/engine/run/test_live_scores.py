@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import queue
+import re
 import subprocess
 import threading
 
@@ -14,6 +15,7 @@ from fake_server import FakeServer, images, sound, texts
 from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE, Reader, asked_frame, shown_at, write_answers
 from scored_runs import opened, segment_of
 
+from jrdb_avr.engine import console
 from jrdb_avr.engine.commands import evaluate
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.run import answering
@@ -93,11 +95,12 @@ def test_a_run_tells_its_scores_when_asked(store, monkeypatch):
 
     def note(text):
         noted.append(text)
-        if text == "so far: answer 100.0 %, evidence 0.0 %, combined 0.0 % of 1":
+        if str(text).endswith("answer 100.0 %, evidence 0.0 %, combined 0.0 % of 1"):
+            assert re.match(r"react, m: 1 of 2, [-0-9:]+ left; [0-9]+ tokens, 0 retries; ", text)
             scored.set()
 
-    monkeypatch.setattr(evaluate, "note", note)
-    monkeypatch.setattr(evaluate, "LOG_EVERY_S", 0.0)
+    monkeypatch.setattr(console, "note", note)
+    monkeypatch.setattr(console, "_LOG_EVERY_S", 0.02)
 
     def script(request, n):
         if second.question in texts(request):
@@ -118,4 +121,4 @@ def test_a_run_tells_its_scores_when_asked(store, monkeypatch):
             result = CliRunner().invoke(evaluate.command, [*base, ids, "--base-url", server.url, *options])
             assert result.exception is None, result.output
             assert not any("combined" in texts(request) for request in server.requests)
-        assert any(text.startswith("so far: ") for text in noted) == scored.is_set() == ("--scores" in options)
+        assert any("combined" in str(text) for text in noted) == scored.is_set() == ("--scores" in options)

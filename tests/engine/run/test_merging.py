@@ -137,6 +137,8 @@ def test_shards_and_bundles_of_an_opaque_public_store_fit_the_full_store(stores,
         shard([public, public], whole, "--limit", "5", "--base-url", url)
     code, _, err = run("runs", "merge", "r-1of2", "r-2of2", "--run-id", "r", "--store", whole.path)
     assert code == 0 and "5 predictions (" in err, err
+    merged = pq.read_table(whole.run_path("r") / "predictions.parquet")["question_id"].to_pylist()
+    assert set(merged) <= {question.question_id for question in ASKED} and len(merged) == 5
     size = len(read_run_manifest(public, "r-1of2").question_ids)
     assert run("submit", "--store", public.path, "r-1of2", tmp_path / "bundle")[0] == 0
     code, out, err = run("score", "--store", whole.path, "--json", "--bundle", tmp_path / "bundle")

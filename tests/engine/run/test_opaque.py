@@ -9,8 +9,9 @@ import pytest
 from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.run.evaluate import evaluate
+from jrdb_avr.engine.run.journal import Finished, with_id
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
-from jrdb_avr.queries.opaque import key_path, opaque_names
+from jrdb_avr.queries.opaque import key_path, opaque_ids, opaque_names, stored_ids
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import ObserveError, StoreError
 from jrdb_avr.schema.method import Prediction
@@ -22,13 +23,14 @@ class Notes:
     name = "notes"
 
     def __init__(self):
-        self.texts, self.sequences, self.errors = [], set(), []
+        self.texts, self.sequences, self.errors, self.ids = [], set(), [], []
 
     def answer(self, task):
         names = {task.question.sequence, task.sequence.sequence}
         names.add(task.observe(task.question.sequence, FRAMES[0], 180.0).sequence)
         names.add(task.panorama(task.question.sequence, FRAMES[0]).sequence)
         self.sequences |= names
+        self.ids.append(task.question.question_id)
         self.texts.append(repr(dataclasses.astuple(task.question)))
         for place in ((SEQUENCE, 0), (task.question.sequence, 1), ("../x", 0)):
             try:
@@ -65,6 +67,27 @@ def test_the_name_is_a_keyed_hash_that_stays(store):
     assert stat.S_IMODE(key_path(store).stat().st_mode) == 0o600
     key_path(store).unlink()
     assert opaque_names(store, [SEQUENCE]) != first
+
+
+def test_a_method_sees_an_opaque_id_and_the_store_keeps_its_own(store):
+    ids = [question.question_id for question in QUESTIONS_ASKED]
+    seen = [opaque_ids(store, ids)[name] for name in ids]
+    assert {len(name) for name in seen} == {16} and not set(seen) & set(ids)
+    first, rest = Notes(), Notes()
+    play(store, first, limit=3, run_id="one")
+    run = play(store, rest, limit=5, run_id="one", resume=True)
+    # A resumed run finds the questions that are answered.
+    assert sorted(first.ids) == sorted(seen[:3]) and sorted(rest.ids) == sorted(seen[3:5])
+    assert run.predictions["question_id"].to_pylist() == sorted(ids[:5])
+    kept = b"".join(path.read_bytes() for path in store.run_path("one").rglob("*.json*"))
+    assert not [name for name in seen if name.encode() in kept]
+    assert dict(zip(seen, ids, strict=True)).items() <= stored_ids(store).items()
+
+
+def test_rows_of_a_world_model_get_the_id_of_the_store():
+    fact = {"episode": {"key": "run/aa11", "question": "aa11"}}
+    entry = Finished("aa11", {"question_id": "aa11"}, [{"question_id": "aa11"}], [fact])
+    assert "aa11" not in repr(with_id(entry, "bb22")) and "run/bb22" in repr(with_id(entry, "bb22"))
 
 
 def test_a_damaged_key_is_one_line(store):

@@ -21,8 +21,12 @@ from jrdb_avr.agent.simulated.profiles import PERFECT
 from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.engine.integrations.huggingface import export_folders
+from jrdb_avr.engine.report.bundle import write_bundle
+from jrdb_avr.engine.report.comparison import diff
+from jrdb_avr.engine.report.leaderboard import leaderboard, score_bundles
 from jrdb_avr.engine.run.public import export_public, strip_metadata
-from jrdb_avr.queries.opaque import opaque_names
+from jrdb_avr.queries.opaque import opaque_ids, opaque_names
+from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -65,6 +69,13 @@ def test_a_public_store_holds_nothing_private(full, tmp_path, opaque):
     names = opaque_names(full, real) if opaque else {name: name for name in real}
     shown = pq.read_table(made / "questions" / "sequences.parquet").to_pylist()
     assert {row["sequence"] for row in shown} == set(names.values())
+    stored = full.questions("questions")["question_id"].to_pylist()
+    ids = pq.read_table(made / "questions" / "questions.parquet")["question_id"].to_pylist()
+    assert ids == sorted(opaque_ids(full, stored).values()) and not set(ids) & set(stored)
+    export_public(full, tmp_path / "again", opaque)
+    assert [path.read_bytes() for path in files] == [
+        (tmp_path / "again" / path.relative_to(made)).read_bytes() for path in files
+    ]
     assert {(path.parent.name, int(path.stem)) for path in pictures} == {
         (row["sequence"], frame) for row in shown for frame in row["frames"]
     }
@@ -132,7 +143,9 @@ def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
     for option in ("--rebuild", "--verify"):
         assert "a public store has no labels" in refusal("load", option, "--store", made)
     assert sorted(made.rglob("*")) == before
-    (question,) = full.questions("questions")["question_id"].to_pylist()[:1]
+    demo_runs = run_ids(full)
+    stored = pq.read_table(full.run_path(demo_runs[0]) / "predictions.parquet")["question_id"][0].as_py()
+    question = opaque_ids(full, [stored])[stored]
     method = (
         "--method",
         "react",
@@ -148,6 +161,19 @@ def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
     with simulated_server(Sight(full), PERFECT) as url:
         code, _, err = run("evaluate", "--store", made, *method, "--base-url", url)
     assert code == 0 and f"next: jrdb-avr export own --jsonl own.jsonl --store {made}\n" in err
+    # The full store reads the opaque ids of its public copy.
+    lines, bundle = tmp_path / "lines.jsonl", tmp_path / "bundle"
+    assert run("export", "own", "--store", made, "--jsonl", lines)[0] == 0 and question in lines.read_text()
+    assert run("submit", "own", bundle, "--store", made)[0] == 0
+    assert run("score", "--store", full.path, "--jsonl", lines)[0] == 0
+    assert pq.read_table(full.run_path("lines") / "scores.parquet")["question_id"].to_pylist() == [stored]
+    (scored,) = score_bundles(full, [bundle]).rows
+    (ranked,) = leaderboard(full, [bundle, write_bundle(full, "lines", tmp_path / "second").folder]).sets
+    assert scored["n"] == 1 and [row["rank"] for _, row in ranked] == [1, 1]
+    assert diff(full, "lines", demo_runs[0]).rows
+    twice = tmp_path / "twice.jsonl"
+    twice.write_text(lines.read_text() + lines.read_text().replace(question, stored))
+    assert "comes twice" in refusal("score", "--store", full.path, "--jsonl", twice)
     for command in (["score", "own"], ["score"], ["report"], ["stats"], ["trace", "own", question]):
         assert "a public store has no answers" in refusal(*command, "--store", made)
     base = ("evaluate", "--store", made, "--method", "react", "--model", "simulated:perfect")
@@ -197,6 +223,7 @@ def test_another_user_evaluates_on_a_public_store(full, small_demo, opaque):
         place.chmod(0o755)
         export_public(full, place / "public", opaque)
         ids = pq.read_table(full.run_path("own") / "predictions.parquet")["question_id"].to_pylist()
+        ids = opaque_ids(full, ids).values()
         (place / "public" / "runs").chmod(0o777)
         environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT.parent), "HOME": folder}
 
