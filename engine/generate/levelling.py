@@ -27,7 +27,7 @@ from jrdb_avr.engine.generate.guessers import (
 )
 from jrdb_avr.engine.generate.levels import Level
 from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
-from jrdb_avr.engine.hashes import Hashes, hash_of, permute
+from jrdb_avr.engine.report.hashes import Hashes, hash_of, permute
 from jrdb_avr.schema.rules import Rules
 
 MAX_TWINS: Final = {"change": 50, "presence": 50, "later_action": 9}

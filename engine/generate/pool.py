@@ -29,7 +29,7 @@ from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate
 from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
-from jrdb_avr.engine.hashes import hash_of
+from jrdb_avr.engine.report.hashes import hash_of
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import QUESTION_RELATIONS

@@ -15,7 +15,7 @@ from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.levelling import level_choices, select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
-from jrdb_avr.engine.hashes import hash_of
+from jrdb_avr.engine.report.hashes import hash_of
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FAMILIES, forms_of
 

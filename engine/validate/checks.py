@@ -20,9 +20,9 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
 from jrdb_avr.engine.rederive.twins import compare_twins
+from jrdb_avr.engine.report.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU
 from jrdb_avr.engine.report.truth import is_inside
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
