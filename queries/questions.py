@@ -16,7 +16,6 @@ from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.errors import ObserveError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question, SequenceInfo
-from jrdb_avr.schema.questions import IMPORTED_KEY
 from jrdb_avr.schema.tables import QUESTIONS
 
 HIDDEN: Final = ("family", "template")
@@ -85,17 +84,6 @@ def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[
     except (KeyError, ValueError, pa.ArrowException):
         raise StoreError(f"{store.question_path(name)} is of another version: generate again") from None
     return rows
-
-
-def is_imported(store: Store) -> bool:
-    """Return whether another program wrote the questions of a store, so that they have no plans and no proofs."""
-    return IMPORTED_KEY.encode() in (store.questions("questions", []).schema.metadata or {})
-
-
-def refuse_imported(store: Store, remedy: str) -> None:
-    """Raise StoreError if a store has imported questions. The message of the error ends in `remedy`."""
-    if store.question_path("questions").exists() and is_imported(store):
-        raise StoreError(f"{store.path} has imported questions, which have no plans: {remedy}")
 
 
 def sequences_of_questions(store: Store) -> dict[str, str]:

@@ -27,8 +27,8 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
     proofs of the stored plans too. Then each plan runs as one Cypher query, which must find the stored people and the
     stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
+    from jrdb_avr.engine.report.truth import is_imported
     from jrdb_avr.engine.validate.checks import validate
-    from jrdb_avr.queries.questions import is_imported
     from jrdb_avr.schema.rules import Rules, override
 
     with progress_bar() as progress:

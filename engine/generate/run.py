@@ -26,11 +26,11 @@ from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, pool_limits, select
 from jrdb_avr.engine.generate.stored_layer import Job, ensure_layer
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
 from jrdb_avr.queries.manifest import Manifest
-from jrdb_avr.queries.questions import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError

@@ -16,7 +16,7 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.engine.pages.timeline import Record, SequenceTables, timeline_rows
-from jrdb_avr.queries.questions import refuse_imported
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import Choice

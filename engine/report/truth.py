@@ -14,6 +14,7 @@ from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import DecodeError, StoreError
+from jrdb_avr.schema.questions import IMPORTED_KEY
 from jrdb_avr.schema.tables import QUESTIONS
 
 FRAME_LIMIT: Final = 1 << 24
@@ -172,6 +173,17 @@ def is_inside(answer: Answer, choices: int, frame_count: int) -> bool:
     if frames := frames_of_answer(answer):
         return frames == sorted(frames) and frames[-1] < frame_count
     return not isinstance(answer, Number) or answer.value > 0
+
+
+def is_imported(store: Store) -> bool:
+    """Return whether another program wrote the questions of a store, so that they have no plans and no proofs."""
+    return IMPORTED_KEY.encode() in (store.questions("questions", []).schema.metadata or {})
+
+
+def refuse_imported(store: Store, remedy: str) -> None:
+    """Raise StoreError if a store has imported questions. The message of the error ends in `remedy`."""
+    if store.question_path("questions").exists() and is_imported(store):
+        raise StoreError(f"{store.path} has imported questions, which have no plans: {remedy}")
 
 
 def row_numbers(values: Any, among: Any) -> Ints:

@@ -24,11 +24,10 @@ from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
 from jrdb_avr.engine.rederive.twins import compare_twins
 from jrdb_avr.engine.report.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU
-from jrdb_avr.engine.report.truth import is_inside
+from jrdb_avr.engine.report.truth import is_imported, is_inside, refuse_imported
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.display import Progress, step_counter
-from jrdb_avr.queries.questions import is_imported, refuse_imported
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.choice_labels import CHOICE_COUNT

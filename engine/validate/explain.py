@@ -12,12 +12,12 @@ import msgspec
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, require_all
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.engine.validate.checks import read_records
 from jrdb_avr.engine.validate.replay import StoredPlan, iterate_stored_proofs, read_plans
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.keyframes import layer_stamp
-from jrdb_avr.queries.questions import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.questions import Proof, QuestionRecord

@@ -14,8 +14,8 @@ from jrdb_avr.engine.generate.blind import QuestionText, question_texts
 from jrdb_avr.engine.generate.diagnostics import tallies
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.observe.crops import min_crops
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.engine.validate.scene_guessers import check_store
-from jrdb_avr.queries.questions import refuse_imported
 from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store

@@ -12,8 +12,8 @@ from processes import run
 from jrdb_avr.engine.local_server import Request
 from jrdb_avr.engine.pages.view import Viewer, address
 from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.engine.report.truth import is_imported
 from jrdb_avr.queries.opaque import stored_ids
-from jrdb_avr.queries.questions import is_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import QUESTIONS
 
