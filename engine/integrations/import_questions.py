@@ -12,9 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.publish import publish
-from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, read_regular
+from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE
 from jrdb_avr.engine.report.tables import TABLES
 from jrdb_avr.engine.report.truth import is_imported, is_inside
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.files import write_once
 from jrdb_avr.queries.opaque import key_path, rename
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
@@ -118,12 +119,12 @@ def _info(store: Store, name: str) -> _Row:
 
 def _contents(path: Path) -> Iterator[tuple[str, bytes | _Row]]:
     """Yield the position and the content of each question of a file."""
-    data = read_regular(path, LARGEST_FILE)
+    data = read_input(path, LARGEST_FILE)
     if data.startswith(b"PAR1"):
         for index, row in enumerate(pq.ParquetFile(pa.BufferReader(data)).read().to_pylist(), 1):
             yield f"row {index}", {name: value for name, value in row.items() if value is not None}
         return
-    for index, line in enumerate(data.split(b"\n"), 1):
+    for index, line in enumerate(to_utf8(data, path).split(b"\n"), 1):
         if line.strip():
             yield f"line {index}", line
 
@@ -205,7 +206,7 @@ def _import_folders(store: Store, paths: Sequence[Path]) -> int:
         questions = questions.set_column(0, "question_id", pa.array([question_id(**row) for row in rows]))
     for key in (path / part / key_path(store).name for path in paths for part in (".", "private")):
         if key.is_file() and not key_path(store).exists():
-            write_once(key_path(store), read_regular(key, 1 << 10))
+            write_once(key_path(store), read_input(key, 1 << 10))
     tables["rejected"] = QUESTIONS["rejected"].empty_table()
     kept = {key.decode(): text.decode() for key, text in metadata.items()}
     publish(
