@@ -22,7 +22,7 @@ BUDGETS = {
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1640,
+    "engine/run": 1650,
     "engine/report": 1190,
     "engine/pages": 1150,
     "engine/integrations": 600,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_100
+TOTAL = 26_200
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {
