@@ -23,8 +23,10 @@ from jrdb_avr.schema.templates import FAMILIES, forms_of
 TRAIN: Final = "train"
 """The profile of training sets: of every template as many as there are, under `training_rules`."""
 
-PROFILES: Final[dict[str, dict[str, int]]] = {"all": {}, "paper": QUOTAS, TRAIN: {}}
-"""Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates."""
+PROFILES: Final[dict[str, dict[str, int]]] = {"all": {}, "paper": QUOTAS, "lite": QUOTAS, TRAIN: {}}
+"""Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates.
+
+The profile lite keeps a part of the selected questions (`engine/generate/lite.py`)."""
 
 STAGES: Final = (
     *(("span", "start"), ("action_search",), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
