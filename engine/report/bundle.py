@@ -19,8 +19,9 @@ from typing import Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular, write_lines
+from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, write_lines
 from jrdb_avr.engine.report.run_scores import SCORED, Submission, predictions_path
+from jrdb_avr.loaders.inputs import read_input
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
@@ -98,8 +99,8 @@ def read_bundle(folder: str | Path, store: Store | None = None) -> Bundle:
         StoreError: If the store has no questions, or if its key is damaged.
     """
     folder = Path(folder)
-    data = {name: read_regular(folder / name, largest) for name, largest in _LARGEST.items()}
-    sums = read_regular(folder / _SUMS, 1 << 12).splitlines()
+    data = {name: read_input(folder / name, largest) for name, largest in _LARGEST.items()}
+    sums = read_input(folder / _SUMS, 1 << 12).splitlines()
     for name, content in data.items():
         if f"{_sha256(content)}  {name}".encode() not in sums:
             raise InputError(
@@ -135,24 +136,40 @@ def bundle_submission(store: Store, bundle: Bundle) -> Submission:
 def _manifest(data: bytes, path: Path) -> RunManifest:
     try:
         run = msgspec.json.decode(data, type=RunManifest)
-        if not is_plain_name(run.run_id) or max(map(len, (run.method, run.model, run.created))) > _LONGEST_NAME:
-            raise ValueError("the name of its run, method or model is invalid or too long")
+        if not is_plain_name(run.run_id) or len(run.created) > _LONGEST_NAME:
+            raise ValueError("the name of its run is invalid")
         if not run.question_ids:
             raise ValueError("it names no question")
-        if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
-            raise ValueError("its settings are too large")
-        _check_depth(run.settings, _DEEPEST_SETTINGS)
+        check_size(run, _DEEPEST_SETTINGS)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be used: {' '.join(str(error).split())}", file=str(path)) from None
     return run
 
 
+def check_size(run: RunManifest, levels: int) -> None:
+    """Check that the names and settings of a run are small enough for tables and pages.
+
+    Args:
+        run: The manifest of the run.
+        levels: Maximum nesting depth of the settings.
+
+    Raises:
+        ValueError: If the method, the model or the settings are too large.
+    """
+    _check_depth(run.settings, levels)
+    if max(len(run.method), len(run.model)) > _LONGEST_NAME:
+        raise ValueError(f"the name of its method or model has more than {_LONGEST_NAME} characters")
+    if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
+        raise ValueError(f"its settings have more than {_LARGEST_SETTINGS >> 10} KB")
+
+
 def _check_depth(value: object, limit: int) -> None:
-    """Raise ValueError if settings are nested deeper than `limit`, because pages render settings recursively."""
+    """Raise ValueError if settings are nested deeper than `limit`, because pages render them recursively."""
+    if not isinstance(value, dict | list | tuple):
+        return
     if not limit:
         raise ValueError("its settings are nested too deeply")
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for item in inner:
+    for item in value.values() if isinstance(value, dict) else value:
         _check_depth(item, limit - 1)
 
 
