@@ -151,13 +151,17 @@ def test_the_commands_from_jrdb_to_the_papers_tables_run(tmp_path, monkeypatch):
                 runs = {
                     path.parent.name: json.loads(path.read_bytes()) for path in Path("jrdb/runs").glob("*/run.json")
                 }
+                last = sorted(name for name, run in runs.items() if run["model"] == BACKBONES[-1])
+                command = f"{command} --as 'Qwen3.5 9B' {shlex.join(last)}"
             code, output = here(command, {})
             assert code == 0, f"{command}\n{output}"
     pairs = [
         (method, model) for model in BACKBONES for method in METHODS[: len(METHODS) if model == BACKBONES[-1] else 4]
     ]
     assert len(pairs) == 28 and sorted((run["method"], run["model"]) for run in runs.values()) == sorted(pairs)
-    assert "synthetic" in output
+    for number in (3, 4, 5, 6):
+        (title,) = re.findall(rf"^.*Table {number} of the paper.*$", output, re.MULTILINE)
+        assert "synthetic" in title
 
 
 def test_the_commands_of_the_readme_are_those_of_the_tour():
