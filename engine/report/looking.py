@@ -62,10 +62,9 @@ def gap_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Line]:
             common = run.rows
             for other in beside.values():
                 common = np.intersect1d(common, other.rows)
-            labels = index.labels["family"]
-            parts = [("all", common)] + [
-                (name, common[labels.numbers[common] == code]) for code, name in enumerate(labels.names)
-            ]
+            parts = [("all", common)]
+            if labels := index.labels.get("family"):
+                parts += [(name, common[labels.numbers[common] == code]) for code, name in enumerate(labels.names)]
             rows += [line for family, among in parts if len(among) for line in _gaps(index, compared, family, among)]
     return rows
 

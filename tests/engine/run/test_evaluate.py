@@ -1,5 +1,6 @@
 """Runs: the journal, resuming, what is opened, what is kept; over real sockets and in real processes."""
 
+import dataclasses
 import json
 import os
 import resource
@@ -20,21 +21,17 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from environment import ROOT
-from fake_server import BACKBONES, FakeServer, Status, sound
+from fake_server import FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
 from painted import BLIND, FRAMES, POSES, QUESTIONS_ASKED, SEQUENCE, question, write_answers
 from scored_runs import InMemory, journal_lines, opened
 
-from jrdb_avr.agent.simulated.profiles import PERFECT
-from jrdb_avr.agent.simulated.server import simulated_server
-from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.commands.report import score
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.evaluate import default_run_id
-from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.card import is_of_sample
@@ -229,26 +226,6 @@ def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
     assert "react, x: " in result.stderr and "cannot reach the server" in result.stderr
 
 
-def test_the_papers_matrix_is_its_tables(store):
-    """All runs, against one server by URL under the names of the backbones."""
-    with simulated_server(Sight(store), PERFECT) as url:
-        options = ("--store", str(store.path), "--matrix", "paper", "--limit", "1", "--simulated", "--base-url", url)
-        result = CliRunner().invoke(command, [*options, "--json"])
-        part = CliRunner().invoke(command, [*options, "--json", "--resume", "--model", "Qwen/Qwen3-VL-4B-Instruct"])
-    assert result.exception is None, result.output
-    rows = json.loads(result.stdout)
-    assert {(row["n"], row["error"]) for row in rows} == {(1, 0)}
-    runs = [json.loads((store.run_path(row["run_id"]) / "run.json").read_bytes()) for row in rows]
-    main = [(method, model) for model in BACKBONES for method in METHODS[:4]]
-    assert sorted((run["method"], run["model"]) for run in runs) == sorted(
-        [*main, *((method, BACKBONES[-1]) for method in METHODS[4:])]
-    )
-    assert all(run["synthetic"] for run in runs)
-    assert [row["run_id"] for row in json.loads(part.stdout)] == [
-        row["run_id"] for row in rows if "VL-4B" in row["run_id"]
-    ]
-
-
 def test_the_papers_matrix_is_among_the_examples():
     assert (ROOT / "docs/examples/paper.toml").read_bytes() == (ROOT / "engine/run/paper.toml").read_bytes()
 
@@ -304,7 +281,9 @@ def test_errors_are_rows_and_are_asked_again(store):
         assert [r["n_model_calls"] for r in table].count(0) == 2
         assert max(r["n_observations"] for r in table) > 0
         broken = False
-        resumed = evaluate(store, *options, "--resume")
+        kept = json.loads((store.run_path("react-fake") / "run.json").read_text())["settings"]
+        assert (kept["unreadable_questions"], kept["method"]["identical_refusals"]) == (20, 3)
+        resumed = evaluate(store, *options, "--resume", "--keep-going")
         (row,) = json.loads(resumed.stdout)
         assert (row["error"], row["invalid"]) == (0, 3)
         assert "3 of 3 questions ended as invalid, 3 of them because: no looks are left" in resumed.stderr
@@ -675,6 +654,37 @@ def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, beha
     }
     with opened(path) as journal:
         assert journal.finished == finished
+
+
+@pytest.mark.parametrize(
+    ("bad", "rest", "stops"),
+    [
+        (Prediction("invalid", reason="the reply is empty", raw="<x>"), None, True),
+        (Prediction("invalid", reason="answer must be a number"), None, False),
+        (Prediction("invalid", reason="the reply is empty"), Prediction("answered", Choice(1)), False),
+        (None, None, True),
+    ],
+)
+def test_a_run_without_a_readable_reply_stops(tmp_path, bad, rest, stops):
+    """The second question may have a readable reply. Without patience, no run stops."""
+    asked = [dataclasses.replace(QUESTIONS_ASKED[0], question_id=f"{n:016x}") for n in range(6)]
+
+    def answer(task):
+        # No question is answered before the journal has those before it, as with a server.
+        while len(journal.finished) < asked.index(task.question):
+            time.sleep(0.001)
+        return rest if rest is not None and task.question == asked[1] else bad
+
+    for patience in (3, None):
+        with opened(tmp_path / f"journal{patience}") as journal:
+            arguments = [Scripted(answer), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 1]
+            if stops and patience:
+                with pytest.raises(RunStoppedError, match=r"no question so far has a readable reply .*--keep-going"):
+                    answering.answer_all(*arguments, patience=patience)
+                assert 3 <= len(journal.finished) < 6
+            else:
+                answering.answer_all(*arguments, patience=patience)
+                assert len(journal.finished) == 6
 
 
 def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
