@@ -21,7 +21,7 @@ from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.method import Observation, Prediction, Task
 from jrdb_avr.schema.panorama import CROP, Box, from_crop
 
-SEED: Final = 0
+_SEED: Final = 0
 """Seed of the drawn looks. The looks of a question follow from it and from the id of the question."""
 
 _MARKED: Final = "In one picture, a red box is drawn round the person whom the question asks about.\n"
@@ -57,7 +57,7 @@ class Diagnostic:
 
     def settings(self) -> dict[str, Any]:
         """Return the method's settings for a run's manifest."""
-        drawn = {} if self.budget is None else {"budget": self.budget, "seed": SEED}
+        drawn = {} if self.budget is None else {"budget": self.budget, "seed": _SEED}
         return {"diagnostic": True, **drawn, **shared_settings(self.convention)}
 
     def answer(self, task: Task) -> Prediction:
@@ -92,7 +92,7 @@ def random_pictures(budget: int) -> Pictures:
     """
 
     def draw(task: Task) -> list[Observation]:
-        drawn = random.Random(f"{SEED} {task.question.question_id}")  # noqa: S311
+        drawn = random.Random(f"{_SEED} {task.question.question_id}")  # noqa: S311
         views = [(drawn.choice(task.sequence.frames), drawn.uniform(0, 360)) for _ in range(budget)]
         return [task.observe(task.question.sequence, frame, angle) for frame, angle in views]
 
