@@ -24,6 +24,7 @@ from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
 from jrdb_avr.schema.method import DIAGNOSTIC
 
 if TYPE_CHECKING:
+    from jrdb_avr.engine.run.effort import Total
     from jrdb_avr.engine.run.evaluate import RunResult
     from jrdb_avr.queries.store import Store
 
@@ -99,8 +100,8 @@ def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **va
     _check_names(store, [evaluation for evaluation, _, _ in evaluations])
     epochs = [(epoch, scores) for evaluation, count, scores in evaluations for epoch in _epochs(evaluation, count)]
     if plan:
-        efforts = [estimate(store, *evaluation).row(text=not form) for evaluation, _ in epochs]
-        print_rows(filled(efforts), title="Plan: expected totals (lower to upper bound)", form=form)
+        rows = [_plan_row(evaluation, *estimate(store, *evaluation), text=not form) for evaluation, _ in epochs]
+        print_rows(filled(rows), title="Plan: expected totals (lower to upper bound)", form=form)
         note("synthetic: texts, and all figures of methods that choose their calls, are measured with simulated models")
         return
     results: list[RunResult] = []
@@ -131,6 +132,20 @@ def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **va
             report = f"{steps} && jrdb-avr report --store {store.path}"
             steps = f"jrdb-avr runs diff {names} --store {store.path}" if len(results) == 2 else report
         note(f"next: {steps}")
+
+
+def _plan_row(evaluation: _Evaluation, questions: int, totals: Mapping[str, Total], text: bool) -> dict[str, Any]:
+    """Return the estimate of a run as a row. Its totals are texts with bounds, or each bound has its own column."""
+    row: dict[str, Any] = {"model": evaluation.model, "method": evaluation.method, "questions": questions}
+    for name in ("calls", "pictures", "prompt_tokens", "reply_tokens", "hours", "dollars"):
+        digits = 2 if name in ("hours", "dollars") else None
+        total = totals.get(name)
+        values = [None] * 3 if total is None else [round(float(value), digits) for value in total]
+        if not text:
+            row |= dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
+        elif total is not None:
+            row[name] = "{:,} ({:,}–{:,})".format(*values)
+    return row
 
 
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:

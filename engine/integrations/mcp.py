@@ -28,7 +28,7 @@ from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
 from jrdb_avr.agent.model.schemas import FRAME_ID_SCHEMA, evidence_schema
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
-from jrdb_avr.engine.run.bench import Bench, find_images, root_of_images
+from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.evaluate import default_run_id
 from jrdb_avr.engine.run.playing import Play, due_questions, played_run
 from jrdb_avr.engine.run.run import Run
@@ -239,7 +239,13 @@ def private_parts(store: Store, images: str | Path | None) -> list[str]:
     paths = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
     held = [str(path.relative_to(store.path)) for path in paths if path.exists()]
     folder = find_images(store, images)
-    return held if folder is None else held + [str(path) for path in root_of_images(folder).glob("labels*")]
+    if folder is None:
+        return held
+    root = Path(folder).resolve()
+    # In a copy of JRDB, these folders are between the panoramas and the root, which also has the labels.
+    for name in ("image_stitched", "images"):
+        root = root.parent if root.name == name else root
+    return held + [str(path) for path in root.glob("labels*")]
 
 
 def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None]) -> None:

@@ -158,20 +158,6 @@ _GREY: Final = 105
 _NOWHERE: Final = os.devnull
 """Path below which no file can exist."""
 
-_LABELS_BESIDE: Final = ("image_stitched", "images")
-"""Names of the folders between the panoramas and JRDB's root folder, innermost first. Labels are also in the root."""
-
-
-def root_of_images(images: str | Path) -> Path:
-    """Return the root folder of JRDB for a folder of panoramas that is inside a copy of JRDB.
-
-    For any other folder, return this folder itself.
-    """
-    root = Path(images).resolve()
-    for name in _LABELS_BESIDE:
-        root = root.parent if root.name == name else root
-    return root
-
 
 def find_images(store: Store, images: str | Path | None) -> str | None:
     """Return the folder of panoramas.

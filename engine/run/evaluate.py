@@ -173,7 +173,7 @@ def evaluate(
         chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
         bench = Bench(store, chosen, image_root, playing.opaque)
         run = stack.enter_context(Run(store, run_id))
-        world = stack.enter_context(_open_world(run, method))
+        world = stack.enter_context(open_world(store.run_path(run_id), run_id)) if method in WORLD_METHODS else None
         endpoint = None
         if model != NO_MODEL:
             endpoint = stack.enter_context(_connect(run, method, model, options, errors))
@@ -344,13 +344,6 @@ def _make(
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_options"
     return make_method(method, endpoint.client, endpoint.convention, world, options, given)
-
-
-def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextManager[WorldModel | None]:
-    """Return the context of the run's world model, or of None if the method has no world model."""
-    if method not in WORLD_METHODS:
-        return contextlib.nullcontext()
-    return open_world(run.store.run_path(run.run_id), run.run_id)
 
 
 def _merge_world(run: Run) -> None:

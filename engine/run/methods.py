@@ -28,24 +28,15 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
     from jrdb_avr.agent.world.episode import WorldModel
-    from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
+    from jrdb_avr.schema.method import ConfigurableMethod, Method, Prediction, Task
 
 NO_MODEL: Final = "none"
 """Name that a manifest has instead of the id of a model if the method of the run calls no model."""
 
-METHODS: Final = (
-    "monolithic",
-    "chain-of-thought",
-    "search-recognize",
-    "react",
-    "agent",
-    "agent-passive",
-    "agent-no-world",
-    "agent-passive-no-world",
-)
-
-BASELINES: Final = METHODS[:4]
+BASELINES: Final = ("monolithic", "chain-of-thought", "search-recognize", "react")
 """Methods that have the set of prompts `paper`."""
+
+METHODS: Final = (*BASELINES, "agent", "agent-passive", "agent-no-world", "agent-passive-no-world")
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send all pictures again in every turn."""
@@ -148,12 +139,12 @@ class CustomMethod:
                 f"{spec} does not return a method: a method has a 'name' and 'answer(task)'", field="method"
             )
         self._spec = spec
-        self._method = method
+        self._method: Method = method
 
     @property
     def name(self) -> str:
         """The name of the method."""
-        return str(self._method.name)
+        return self._method.name
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the method.
@@ -167,8 +158,7 @@ class CustomMethod:
 
     def answer(self, task: Task) -> Prediction:
         """Return the method's prediction for one question."""
-        prediction: Prediction = self._method.answer(task)
-        return prediction
+        return self._method.answer(task)
 
 
 def is_custom(spec: str) -> bool:

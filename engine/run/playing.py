@@ -87,6 +87,11 @@ class Play:
         steps: list[Step] = []
         return cls(bench.episode(question_id, budget=BUDGET, record=lambda step: steps.append(step)), steps)
 
+    @property
+    def question_id(self) -> str:
+        """The id of the question."""
+        return self.episode.question.question_id
+
     def record(self, run: Run) -> None:
         """Append the entry of the question to the journal of the run."""
         seconds = time.perf_counter() - self.started
