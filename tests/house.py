@@ -23,7 +23,7 @@ BUDGETS = {
     "engine/validate": 600,
     "engine/observe": 230,
     "engine/run": 1640,
-    "engine/report": 1190,
+    "engine/report": 1200,
     "engine/pages": 1150,
     "engine/integrations": 600,
     "engine/commands": 1400,
