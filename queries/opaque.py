@@ -69,16 +69,6 @@ def stored_ids(store: Store) -> dict[str, str]:
     return {opaque: name for name, opaque in opaque_ids(store, sequences_of_questions(store)).items()}
 
 
-def key_fingerprint(store: Store) -> str:
-    """Return a text that identifies the store's key without revealing the key.
-
-    If the store has no key, write a new key. Raise StoreError if the file with the key is damaged, or if this file
-    cannot be read or written.
-    """
-    # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
-    return opaque_names(store, [""])[""].removeprefix("sequence-")
-
-
 def _key(path: Path) -> bytes:
     """Return the key that a file contains. If the file is missing, first write a new key to it, for its owner only."""
     if not path.exists():

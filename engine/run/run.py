@@ -19,7 +19,7 @@ from jrdb_avr.engine.report.bundle import check_size
 from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, with_id, write_tables
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import matching, select_questions
-from jrdb_avr.queries.opaque import stored_ids
+from jrdb_avr.queries.opaque import opaque_names, stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -201,6 +201,16 @@ def find_difference(first: RunManifest, second: RunManifest) -> str:
         if pair[0] != pair[1] and not (what in _MAY_BE_EMPTY and "" in pair):
             return what
     return ""
+
+
+def key_fingerprint(store: Store) -> str:
+    """Return a text that identifies the store's key without revealing the key.
+
+    If the store has no key, write a new key. Raise StoreError if the file with the key is damaged, or if this file
+    cannot be read or written.
+    """
+    # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
+    return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> None:
