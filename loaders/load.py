@@ -13,7 +13,6 @@ The new graph also holds the world models of the store's finished runs.
 from __future__ import annotations
 
 import contextlib
-import resource
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,7 +43,6 @@ from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.files import file_hash
-from jrdb_avr.queries.graph.database import UNLIMIT
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer, refuse_public
 from jrdb_avr.queries.runs import run_ids
@@ -305,10 +303,6 @@ def _write(
 # -- the store ---------------------------------------------------------------------------------------------------
 
 
-_ADDRESSES: Final = 1 << 44
-"""Addresses that the graph engine reserves, in bytes."""
-
-
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
     """Yield an empty staging folder, and delete it when the `with` block ends.
@@ -316,9 +310,6 @@ def _staging(store: Store) -> Iterator[Store]:
     The folder is not deleted if it then holds tables that must still be moved into the store. The caller must
     hold the writer's lock.
     """
-    # No limit is -1 or a huge number.
-    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < _ADDRESSES:
-        raise StoreError(f"cannot build a graph: {UNLIMIT}")
     staging = Store(store.path / STAGING)
     try:
         _finish_moves(store)

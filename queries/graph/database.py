@@ -179,7 +179,8 @@ def translate_error(
         damage = f"{path} is cut short" if path else "the graph file is cut short"
         return StoreError(f"{damage}: {describe_rebuild(path)}" if path else damage)
     if "Buffer manager exception" in message:
-        return QueryError(f"needs more memory than its limit; narrow it (by sequence): {shorten(text) or 'load'}")
+        advice = UNLIMIT if "Mmap for size" in message else "narrow it (by sequence)"
+        return QueryError(f"{shorten(text) or 'the graph'} needs more memory than its limit: {advice}")
     if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
         return StoreError(f"cannot write the graph: {shorten(message)}; free some space and load again")
     if unknown := re.search(r"Table (\w+) does not exist", message):
