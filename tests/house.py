@@ -22,11 +22,11 @@ BUDGETS = {
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1640,
+    "engine/run": 1650,
     "engine/report": 1300,
     "engine/pages": 1200,
-    "engine/integrations": 600,
-    "engine/commands": 1425,
+    "engine/integrations": 750,
+    "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,
     "agent/methods": 530,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_700
+TOTAL = 26_500
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
+import shlex
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -18,12 +21,18 @@ from jrdb_avr.loaders.inputs import to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
 
 if TYPE_CHECKING:
+    from jrdb_avr.engine.validate.explain import ProofQuery
     from jrdb_avr.queries.store import Store
 
 Language = Literal["cypher", "sql"]
 
 _LONGEST: Final = 1 << 20
 """Maximum bytes of a statement from a file or from standard input."""
+
+_WIDTH: Final = 80
+"""Maximum characters of a printed line. Words and JSON texts are not divided."""
+
+_JSON_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"')
 
 
 def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -124,8 +133,35 @@ def _explain(store: Store | None, question: str, form: RowFormat) -> None:
     if form:
         print_data(explanation.rows(), form)
     else:
-        for title, rows in explanation.tables():
-            print_rows(rows, title)
+        record = explanation.record
+        proofs = [
+            {"proof": f"{proof.kind} {proof.variant}", "outcome": proof.outcome, "holds": proof.holds}
+            | {"answer": proof.answer, "statements": " ".join(map(str, ids))}
+            for proof, ids in explanation.proofs
+        ]
+        print_rows(proofs, "\n".join([_fold(record.question), *record.choices, f"Answer: {record.answer_text}"]))
+        for statement in explanation.statements:
+            print_rows(statement.rows, _to_text(statement, explanation.store))
+
+
+def _to_text(statement: ProofQuery, store: Path) -> str:
+    """Return the comments of a statement, and the shell command that runs it on a store."""
+    comments, lines = re.findall(r"(?m)^// *(.+)", statement.cypher), re.findall(r"(?m)^(?!//).+", statement.cypher)
+    parts = [f"jrdb-avr cypher --store {shlex.quote(str(store))}"]
+    parts += [
+        _fold(f"--param {shlex.quote(f'{name}={json.dumps(value)}')}") for name, value in statement.params.items()
+    ]
+    # Double quotes of texts need no escapes in the shell.
+    parts.append(shlex.quote("\n".join(_fold(line.replace("'", '"')) for line in lines)))
+    title = f"\nStatement {statement.id}: {statement.name}\n{_fold(' '.join(comments))}"
+    return f"{title}\n\n" + " \\\n".join(parts) + ("\n" if statement.rows else "\n\n(no rows)")
+
+
+def _fold(text: str) -> str:
+    """Divide a long line at spaces outside of JSON texts. Each line leaves room for a space and a backslash."""
+    guarded = _JSON_TEXT.sub(lambda quoted: quoted[0].replace(" ", "\0"), text)
+    lines = textwrap.wrap(guarded, _WIDTH - 2, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines).replace("\0", " ")
 
 
 def _given(store: Store | None) -> Store:

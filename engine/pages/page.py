@@ -19,7 +19,7 @@ from jrdb_avr.queries.files import write_bytes
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.plan import parse_plan
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -155,16 +155,16 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
     return record.phrase.format_map({name: write[kind](getattr(answer, name)) for name, kind in record.fields})
 
 
-def unit_of(plan: Plan) -> str:
+def unit_of(plan: str) -> str:
     """Return the unit of the answer to a question.
 
     Args:
-        plan: The plan of the question.
+        plan: The plan of the question as JSON. It is empty for an imported question.
 
     Returns:
-        The unit, or an empty text if the answer has no unit.
+        The unit, or an empty text if the answer has no known unit.
     """
-    return {"seconds_between": "s", "count": "people"}.get(plan.answer.read, "")
+    return {"seconds_between": "s", "count": "people"}.get(parse_plan(plan).answer.read, "") if plan else ""
 
 
 def _at(frame: int, fps: float) -> str:
