@@ -141,8 +141,7 @@ def main() -> None:
         # A library that does not fit into the address space cannot be imported.
         if isinstance(error, ImportError) and resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
             raise
-        click.echo("jrdb-avr: the memory does not suffice: raise its limit (ulimit -v), or free some memory", err=True)
-        sys.exit(1)
+        sys.exit("jrdb-avr: the memory does not suffice: raise its limit (ulimit -v), or free some memory")
     except OSError as error:
         click.echo(f"jrdb-avr: {error.strerror or error}: {error.filename or ''}", err=True)
         sys.exit(1)
