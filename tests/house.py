@@ -25,7 +25,7 @@ BUDGETS = {
     "engine/run": 1650,
     "engine/report": 1300,
     "engine/pages": 1200,
-    "engine/integrations": 750,
+    "engine/integrations": 830,
     "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_500
+TOTAL = 26_600
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

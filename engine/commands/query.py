@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -16,7 +16,7 @@ import click
 
 from jrdb_avr.engine.commands._complete import complete_query
 from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option
-from jrdb_avr.engine.console import RowFormat, print_data, print_rows
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
 from jrdb_avr.loaders.inputs import to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
 
@@ -97,7 +97,7 @@ def sql(**options: Any) -> None:
 def _run(
     language: Language, query: str | None, store: Store | None, params: list[tuple[str, str]], **options: Any
 ) -> None:
-    from jrdb_avr.queries.named import named_queries, parse_value
+    from jrdb_avr.queries.named import find_query, named_queries, parse_value
 
     form, parquet = options["form"], options["parquet"]
     if form and parquet is not None:
@@ -116,6 +116,8 @@ def _run(
         raise click.UsageError("QUERY and --param must be UTF-8 text") from None
     values = {name: parse_value(text) for name, text in params}
     table = _unique_names(_given(store).query(language, query, values, options["timeout"]))
+    if not table.num_rows and language == "cypher":
+        _note_frame(_given(store), find_query(language, query, values)[1])
     if parquet is not None:
         _write_parquet(table, parquet)
         return
@@ -124,6 +126,16 @@ def _run(
     except (OverflowError, ValueError) as error:
         raise QueryError(f"the result holds a time that cannot be printed ({error}): cast it to text") from None
     print_rows(rows, columns=table.column_names, form=form)
+
+
+def _note_frame(store: Store, values: Mapping[str, Any]) -> None:
+    """Name the nearest frame that has labels of people, if a query about one frame has given no rows."""
+    if {"sequence", "frame"} <= values.keys():
+        frames = "SELECT frame FROM intervals_sightings WHERE sequence = $sequence"
+        asked = {name: values[name] for name in ("sequence", "frame")}
+        nearest = store.sql(f"{frames} ORDER BY abs(frame - $frame), frame LIMIT 1", **asked)["frame"].to_pylist()
+        if nearest and nearest != [asked["frame"]]:
+            note(f"frame {asked['frame']} has no labels of people: give the nearest, --param frame={nearest[0]}")
 
 
 def _explain(store: Store | None, question: str, form: RowFormat) -> None:
