@@ -135,8 +135,7 @@ def main() -> None:
         sys.exit(1)
     except UnicodeEncodeError as error:
         # A file name that is not UTF-8 contains surrogate characters, which cannot be written.
-        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is not Unicode text: use other names", err=True)
-        sys.exit(1)
+        sys.exit(f"jrdb-avr: {ascii(error.object)[:200]} is not Unicode text: use other names")
     except (MemoryError, ImportError) as error:
         # A library that does not fit into the address space cannot be imported.
         if isinstance(error, ImportError) and resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
