@@ -63,6 +63,7 @@ def command(
       jrdb-avr load ~/jrdb/train_dataset_with_activity --fingerprint jrdb.json
     """
     from jrdb_avr.engine.integrations.fingerprint import renamed_folders
+    from jrdb_avr.engine.integrations.releases import compare_releases
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals
     from jrdb_avr.queries.graph.database import UNLIMIT
@@ -111,6 +112,8 @@ def command(
             print_rows(printed, title=title)
             if len(printed) < len(rows):
                 click.echo(f"... {len(rows) - MAX_ROWS:,} more: --csv or --json prints all")
+        if compared := compare_releases(result.reports):
+            print_rows(compared, title="Beside the releases of JRDB")
         click.echo(clean(totals(result.reports)))
     if strict and result.refused:
         note("something was refused or skipped, and --strict is set")
