@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -60,21 +59,6 @@ def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> 
         return table.select(schema.names).cast(schema)
     except (ValueError, pa.ArrowException) as error:
         raise StoreError(f"{path} has other column types ({str(error).splitlines()[0]}): {command} again") from None
-
-
-def rename(table: pa.Table, column: str, names: Mapping[str, str]) -> pa.Table:
-    """Return a copy of a table. In the copy, a column has new names.
-
-    Args:
-        table: A table that has the column.
-        column: The name of the column. Its values are names, ids or null.
-        names: The new name for each old name.
-
-    Returns:
-        The copy. Its rows and columns are in the same order as in the given table.
-    """
-    renamed = pa.array([name and names[name] for name in table[column].to_pylist()], pa.string())
-    return table.set_column(table.column_names.index(column), table.schema.field(column), renamed)
 
 
 class Truth:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 import pyarrow as pa
 
-from jrdb_avr.engine.report.truth import rename
 from jrdb_avr.engine.run.bench import find_images
 from jrdb_avr.queries.files import new_folder
 from jrdb_avr.queries.manifest import Manifest
@@ -83,6 +83,21 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
     if copied < len(real):
         warnings.warn(f"{len(real) - copied} of {len(real)} sequences have no panorama", AvrWarning, stacklevel=2)
     return len(questions)
+
+
+def rename(table: pa.Table, column: str, names: Mapping[str, str]) -> pa.Table:
+    """Return a copy of a table. In the copy, a column has new names.
+
+    Args:
+        table: A table that has the column.
+        column: The name of the column. Its values are names, ids or null.
+        names: The new name for each old name.
+
+    Returns:
+        The copy. Its rows and columns are in the same order as in the given table.
+    """
+    renamed = pa.array([name and names[name] for name in table[column].to_pylist()], pa.string())
+    return table.set_column(table.column_names.index(column), table.schema.field(column), renamed)
 
 
 def _copy_pictures(source: Path, target: Path, frames: list[int]) -> bool:
