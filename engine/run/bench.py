@@ -65,10 +65,8 @@ class Bench:
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in known_sequences.items()}
         ids = opaque_ids(store, (row.question_id for row in questions)) if opaque else {}
         self.questions = [
-            replace(
-                row.to_question(), question_id=ids.get(row.question_id, row.question_id), sequence=names[row.sequence]
-            )
-            for row in questions
+            replace(q.to_question(), question_id=ids.get(q.question_id, q.question_id), sequence=names[q.sequence])
+            for q in questions
         ]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}

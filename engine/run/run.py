@@ -31,9 +31,6 @@ _ACCESS: Final = (
 )
 """Settings of an endpoint that do not influence replies, such as its address."""
 
-_LEVELS: Final = 22
-"""Maximum depth of the settings of a new run: 20 levels of a custom method's settings, and two around them."""
-
 _MAY_BE_EMPTY: Final = ("server version",)
 """Settings that are empty if the server was too busy to report them. An empty value counts as equal to any other."""
 
@@ -61,8 +58,7 @@ class Run(Journal):
             StoreError: If the journal is damaged, if it cannot be written, or if it has answers but no manifest.
         """
         folder = store.run_path(run_id)
-        self._stored_ids = stored_ids(store)
-        super().__init__(journal_folder(folder), sequences_of_questions(store), self._stored_ids)
+        super().__init__(journal_folder(folder), sequences_of_questions(store), stored_ids(store))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False
@@ -112,7 +108,8 @@ class Run(Journal):
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
         try:
-            check_size(manifest, _LEVELS)
+            # A custom method's settings may have 20 levels. Two are around them.
+            check_size(manifest, 22)
         except ValueError as error:
             raise InputError(f"run {self.run_id!r} cannot be stored: {error}; shorten it", field="method") from None
         check_manifest(self.store, manifest)
@@ -128,7 +125,7 @@ class Run(Journal):
             StoreError: If writing fails, or if `finish` has already been called. For example, a player's last move may
                 arrive while the run ends.
         """
-        if stored := self._stored_ids.get(entry.question_id):
+        if stored := self._aliases.get(entry.question_id):
             entry = with_id(entry, stored)
         with self._writing:
             if self._over:
