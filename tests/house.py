@@ -25,17 +25,17 @@ BUDGETS = {
     "engine/run": 1560,
     "engine/report": 1175,
     "engine/pages": 1150,
-    "engine/integrations": 600,
+    "engine/integrations": 680,
     "engine/commands": 1400,
     "engine": 350,
     "agent/model": 1250,
-    "agent/methods": 460,
+    "agent/methods": 464,
     "agent/simulated": 950,
     "agent": 2750,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_000
+TOTAL = 26_100
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

@@ -89,7 +89,7 @@ def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tu
     parts: list[Part] = [episode.text]
     for count, (observation, picture) in enumerate(looks, 1):
         parts += [f"Picture {count}: {metadata_line(observation)}", picture]
-    frames, left = sorted({observation.frame_id for observation, _ in looks}), episode.left
+    frames, left = sorted({f"{observation.frame_index:06d}" for observation, _ in looks}), episode.left
     state = render(
         "react_state",
         steps="\n".join(f"{n}. {turn}" for n, turn in enumerate(episode.turns, 1)) or "none",

@@ -60,7 +60,7 @@ def command(
     inspected = inspect_questions(store, chosen)
     with progress_bar() as progress:
         advance = step_counter(progress, "inspect", len(inspected))
-        write_page(out, inspect_page(inspected, Observer.of(store), questions_hash(store), advance))
+        write_page(out, inspect_page(inspected, Observer(store), questions_hash(store), advance))
     if form:
         print_data([{"question_id": name} for name in chosen], form)
     note(f"wrote {out}: {len(inspected)} questions")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -49,7 +48,7 @@ from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, QueryError, StoreError
+from jrdb_avr.schema.errors import InputError, QueryError, StoreError, warn
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
@@ -197,7 +196,7 @@ def evaluate(
             _merge_world(run)
         predictions = run.finish()
         for line in [] if endpoint is None else endpoint.changed():
-            warnings.warn(line, AvrWarning, stacklevel=2)
+            warn(line)
     return RunResult(run_id, predictions, manifest.synthetic, options.endpoint.price)
 
 
@@ -302,7 +301,7 @@ def _connect(
         journal, strict = folder / "calls.jsonl", options.run.strict_preflight
         checked = Endpoint(calibration, model, url, endpoint, journal, _name(method), strict)
         for line in checked.warnings:
-            warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=4)
+            warn(f"preflight: {line}")
         yield checked
 
 
@@ -336,4 +335,4 @@ def _merge_world(run: Run) -> None:
             merge_world(graph, run.run_id, world_rows(run.run_id, run.finished))
     except (StoreError, QueryError) as error:
         text = f"the graph lacks the world models of {run.run_id} ({error})"
-        warnings.warn(f"{text}: repeat the command with --resume to add them", AvrWarning, stacklevel=3)
+        warn(f"{text}: repeat the command with --resume to add them")
