@@ -17,6 +17,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +30,7 @@ from jrdb_avr.loaders.intervals.neighbors import beside_warnings
 from jrdb_avr.loaders.intervals.persons import disagreements
 from jrdb_avr.loaders.intervals.spans import absent_partners
 from jrdb_avr.loaders.intervals.timeline import step_of
+from jrdb_avr.loaders.layers.boxes_2d import box_warnings, sketch_boxes
 from jrdb_avr.loaders.layers.calibration import cameras_check
 from jrdb_avr.loaders.problems import shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
@@ -52,6 +54,9 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 STAGING: Final = ".loading"
 """Folder inside the store that holds the new files of a load until the load moves them."""
 
+_MIN_COMMON: Final = 16
+"""Minimum number of common boxes for a note about two sequences."""
+
 
 @dataclass(frozen=True)
 class Shard:
@@ -73,6 +78,7 @@ class ShardResult:
 
     report: SequenceReport
     entry: SequenceEntry | None
+    sketch: frozenset[int] = frozenset()
 
 
 def load(
@@ -224,9 +230,10 @@ def load_shard(shard: Shard) -> ShardResult:
             warnings=[
                 *sequence_warnings(labels, images, read.heading, cameras),
                 *beside_warnings(intervals["sightings"]),
+                *box_warnings(tables["boxes_2d"]),
             ],
         )
-        return ShardResult(report, entry)
+        return ShardResult(report, entry, sketch_boxes(tables["boxes_2d"]))
 
 
 @contextlib.contextmanager
@@ -378,8 +385,14 @@ def _swap(path: Path, new: Path, old: Path) -> None:
 
 def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport]:
     reports = [result.report for _, result in sorted(results.items())]
-    if root.problems or root.notes:
-        reports.append(SequenceReport("", list(root.problems), warnings=list(root.notes)))
+    notes = list(root.notes)
+    for (name, first), (other, second) in combinations(sorted(results.items()), 2):
+        # Unrelated recordings share at most a few boxes.
+        common, fewer = len(first.sketch & second.sketch), min(len(first.sketch), len(second.sketch))
+        if common >= max(_MIN_COMMON, fewer / 4):
+            notes.append(f"{name} and {other} have the same boxes: if they are one recording, delete the files of one")
+    if root.problems or notes:
+        reports.append(SequenceReport("", list(root.problems), warnings=notes))
     return reports
 
 

@@ -177,13 +177,14 @@ def sequence_warnings(
 
 
 def totals(reports: list[SequenceReport]) -> str:
-    """Return one line with the numbers of loaded sequences, frames, people, boxes, unknown labels and refused parts."""
+    """Return one line with the numbers of sequences, frames, people, boxes, unknown labels, refused parts and notes."""
     loaded = [report for report in reports if report.layers]
     sums = {name: sum(getattr(report, name) for report in loaded) for name in ("frames", "people", "boxes", "boxes_3d")}
     unknown = len({(label.field, label.label) for report in loaded for label in report.unknown_labels})
+    notes = sum(len(report.warnings) for report in reports)
     sequences = "1 sequence" if len(loaded) == 1 else f"{len(loaded)} sequences"
     return (
         f"{sequences}, {sums['frames']:,} frames, {sums['people']:,} people, {sums['boxes']:,} boxes, "
         f"{sums['boxes_3d']:,} 3D boxes; {unknown} labels outside the vocabulary; "
-        f"{sum(report.refused for report in reports):,} refused or skipped"
+        f"{sum(report.refused for report in reports):,} refused or skipped{f'; notes: {notes}, above' if notes else ''}"
     )

@@ -22,7 +22,7 @@ BUDGETS = {
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1560,
+    "engine/run": 1640,
     "engine/report": 1175,
     "engine/pages": 1150,
     "engine/integrations": 680,

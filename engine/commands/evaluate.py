@@ -61,8 +61,14 @@ class _Evaluation(NamedTuple):
     help="TOML file that describes several runs, or 'paper' for the runs of the paper. With --model, only the runs of "
     "this model. docs/models.md shows the format.",
 )
+@click.option(
+    "--plan",
+    is_flag=True,
+    help="Send nothing. Print the calls, pictures and tokens of each run with bounds, its hours at the rate of --tpm "
+    "and --rpm, and its cost by --prices.",
+)
 @form_option
-def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:
+def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **values: Any) -> None:
     """Let a method answer the questions of a store with a model, and record every step as a run.
 
     If the model's server needs a key, set the environment variable OPENAI_API_KEY to the key. Before the run, the
@@ -83,11 +89,17 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     """
     from jrdb_avr.agent.simulated.profiles import profile_of
     from jrdb_avr.engine.report.formats import filled
+    from jrdb_avr.engine.run.effort import estimate
 
     runs = [values] if matrix is None else matrix_runs(matrix, click.get_current_context(), values)
-    evaluations = [(_evaluation(run), run["epochs"], run["scores"]) for run in runs]
+    evaluations = [(_evaluation(run, plan), run["epochs"], run["scores"]) for run in runs]
     _check_names(store, [evaluation for evaluation, _, _ in evaluations])
     epochs = [(epoch, scores) for evaluation, count, scores in evaluations for epoch in _epochs(evaluation, count)]
+    if plan:
+        efforts = [estimate(store, *evaluation).row(text=not form) for evaluation, _ in epochs]
+        print_rows(filled(efforts), title="Plan: expected totals (lower to upper bound)", form=form)
+        note("synthetic: texts, and all figures of methods that choose their calls, are measured with simulated models")
+        return
     results: list[RunResult] = []
     for evaluation, scores in epochs:
         try:
@@ -140,8 +152,11 @@ def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
             raise click.UsageError(f"two runs are named {name}: give each a [[run]] of its own, with a run-id")
 
 
-def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
-    """Return the arguments of `evaluate` for one run. Raise UsageError if options contradict each other."""
+def _evaluation(values: Mapping[str, Any], plan: bool) -> _Evaluation:
+    """Return the arguments of `evaluate` for one run. Raise UsageError if options contradict each other.
+
+    A plan needs no address of a server.
+    """
     from jrdb_avr.agent.model.prices import read_price
     from jrdb_avr.engine.run.evaluate import check_options
 
@@ -149,7 +164,7 @@ def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
     for name in ("method", "model"):
         if values[name] is None:
             raise click.UsageError(f"Missing option '--{name}'.")
-    if model != NO_MODEL:
+    if model != NO_MODEL and not plan:
         check_address(model, values["base_url"])
     price = None if values["price"] is None else read_price(values["price"], model)
     filled = {**values, "price": price}

@@ -31,6 +31,7 @@ from jrdb_avr.loaders.labelfiles.records import NOTHING
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 
 SUFFIXES: Final = ("jpg", "jpeg", "png")
 """Suffixes of the keys of frames."""
@@ -69,6 +70,8 @@ class Record2D(msgspec.Struct, gc=False):
 
 
 _READER: Final = RecordReader(Record2D)
+_FACTORS: Final = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64)
+"""Odd factors for the hash of a box."""
 _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_group", "social_activity")
 
 
@@ -156,6 +159,46 @@ def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())
         usable &= ~fault
     return usable
+
+
+def box_warnings(boxes: pa.Table) -> list[str]:
+    """Return a line of warning if the numbers of the boxes look like another form than pixels of the panorama.
+
+    Args:
+        boxes: table with the columns x, y, w and h, as they are in the file.
+
+    Returns:
+        A list with at most one line, which names the likeliest form.
+    """
+    x, y, w, h = (boxes[name].to_numpy() for name in "xywh")
+    # In all files of JRDB, at most 7 % of the boxes could be corners, and no box ends below the picture.
+    corners = _most((w > x) & (h > y))
+    form = ""
+    if _most((w <= 1) & (h <= 1)):
+        form = f"fractions of the picture ({'x1, y1, x2, y2' if corners else 'x, y, width, height'})"
+    elif corners and _most(w > WIDTH / 20):
+        form = "corners (x1, y1, x2, y2)"
+    elif _most(y + h > 1.05 * HEIGHT, 0.02):
+        form = "centres (x, y, width, height), or like pixels of another picture"
+    expected = f"they are read as left, top, width and height in pixels of a panorama of {WIDTH} x {HEIGHT}"
+    return [f"the 2D boxes look like {form}, but {expected}: convert the file and load again"] if form else []
+
+
+def _most(mask: Bools, share: float = 0.5) -> bool:
+    return bool(len(mask)) and float(mask.mean()) > share
+
+
+def sketch_boxes(boxes: pa.Table) -> frozenset[int]:
+    """Return the smallest hashes of the boxes. Two sequences with the same boxes share them, whatever their frames.
+
+    Args:
+        boxes: annotation table `boxes_2d`.
+
+    Returns:
+        At most 256 hashes of different boxes.
+    """
+    numbers = np.stack([boxes[name].to_numpy() for name in "xywh"], axis=1).view(np.uint64)
+    return frozenset(np.unique((numbers * _FACTORS).sum(axis=1, dtype=np.uint64))[:256].tolist())
 
 
 def _box_table(
