@@ -19,9 +19,15 @@ agent    methods that answer the questions
 """
 
 import re
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
+
+try:
+    import fcntl  # noqa: F401
+except ImportError:
+    sys.exit("jrdb-avr needs the file locks of Linux or macOS: on Windows, install and run it in WSL")
 
 __version__ = "0.2.0"
 

@@ -41,11 +41,13 @@ from jrdb_avr.agent.model.probes import (
 )
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply, thinking_text
+from jrdb_avr.agent.model.schemas import MOST_LISTED, answer_schema, evidence_schema, frame_schema
 from jrdb_avr.agent.reference.loop import LIMITS
 from jrdb_avr.agent.reference.planning import plan_form
 from jrdb_avr.agent.reference.tools import world_schema
+from jrdb_avr.agent.reference.turns import look_schema
 from jrdb_avr.schema.errors import DecodeError, EndpointError, RunStoppedError
-from jrdb_avr.schema.method import Panorama, Question
+from jrdb_avr.schema.method import Panorama
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
@@ -247,7 +249,8 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     The marked picture is neither the first nor the last, because a server may pass only the first or the last picture
     to the model.
     """
-    question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
+    frames = range(MOST_LISTED)
+    answer = answer_schema("multiple_choice", tuple(map(str, range(1, PANORAMAS + 1))), frames)
     boxes = [Box(1500, 130, 180, 240) if n == 5 else None for n in range(1, PANORAMAS + 1)]
     drawn = [drawn_picture(PANORAMA_SIZE, box) for box in boxes]
     panoramas = [Panorama("drawn", n, float(n), picture.data) for n, picture in enumerate(drawn, 1)]
@@ -258,7 +261,7 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
         render("preflight_panoramas", n=PANORAMAS),
         *shown,
         PANORAMA_LINE,
-        schema=world_schema(question, (), looks=True, advised=True),
+        schema=world_schema(answer, (), look_schema(frames, advised=True)),
     )
     calls = probe.value.get("calls")
     last = calls[-1] if isinstance(calls, list) and calls else None
@@ -268,7 +271,8 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     for n in range(1, CROPS + 1):
         box = CORNERS["upper left"] if n == 14 else None
         parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
-    probe = send(*parts, CROP_LINE, schema=react_turn_schema(question))
+    final = {"answer": answer, "evidence_bboxes": evidence_schema(frame_schema(frames))}
+    probe = send(*parts, CROP_LINE, schema=react_turn_schema(frames, closed_object(final)))
     # A model that loses count among many crops can still answer, because most questions need only a few crops.
     yield _largest_request("crops", content, probe, probe.value.get("frame_id") == "000014", needed=bool(probe.fault))
 

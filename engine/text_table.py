@@ -20,6 +20,9 @@ _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 _LONG: Final = re.compile(r"\S{41,}")
 
+_LONGEST: Final = 20_000
+"""Maximum number of characters of a cell. The layout of a longer text would take minutes."""
+
 _MAX_TRANSPOSED: Final = 3
 """Maximum number of rows of a table that is transposed."""
 
@@ -61,7 +64,9 @@ def cell_text(value: object) -> str:
     if isinstance(value, dict):
         return _graph_text(value)
     # A word of more than 40 characters is JSON or a list of names. Spaces after commas let the word wrap.
-    return _LONG.sub(lambda match: match[0].replace(",", ", "), clean(value))
+    text = clean(value)
+    rest = f"... ({len(text)} characters: --json prints all)" if len(text) > _LONGEST else ""
+    return _LONG.sub(lambda match: match[0].replace(",", ", "), text[:_LONGEST]) + rest
 
 
 def _graph_text(value: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO, Any
 
 from jrdb_avr.schema.errors import InputError, StoreError
 
@@ -109,6 +110,29 @@ def new_folder(folder: Path) -> Iterator[Path]:
         yield temporary
         temporary.chmod(0o777 & ~_umask())
         temporary.replace(folder)
+
+
+def lock_file(file: IO[Any], *, shared: bool = False) -> bool:
+    """Lock an open file until it is closed.
+
+    Args:
+        file: The file.
+        shared: True for a lock that several processes may hold.
+
+    Returns:
+        False if another process holds the lock.
+
+    Raises:
+        StoreError: If the file system has no locks.
+    """
+    try:
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+            return False
+        advice = "put the store on a local disk, or mount this file system with locks (Lustre: -o flock)"
+        raise StoreError(f"{file.name}: its file system has no locks ({error.strerror}): {advice}") from None
+    return True
 
 
 @contextlib.contextmanager

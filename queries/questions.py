@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
@@ -97,36 +96,6 @@ def sequences_of_questions(store: Store) -> dict[str, str]:
     encoded = table["sequence"].combine_chunks().dictionary_encode()
     names, ids = encoded.dictionary.to_pylist(), table["question_id"].to_pylist()
     return {question: names[index] for question, index in zip(ids, encoded.indices.to_pylist(), strict=True)}
-
-
-def sort_by_sequence(questions: pa.Table) -> pa.Table:
-    """Return rows sorted by the columns `sequence` and `question_id`. All tables of runs have this order."""
-    return questions.sort_by([("sequence", "ascending"), ("question_id", "ascending")])
-
-
-def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
-    """Convert a table to the columns and types of a schema. Columns that the schema lacks are dropped.
-
-    Args:
-        table: Table that was read from `path`.
-        schema: Schema of the result.
-        path: File that the error message names.
-        command: Command or advice for the error message, such as "generate". The message ends in this text, followed
-            by "again".
-
-    Returns:
-        The table with the columns and types of the schema.
-
-    Raises:
-        StoreError: If a column is missing or cannot be cast to the type in the schema.
-    """
-    missing = set(schema.names) - set(table.column_names)
-    if missing:
-        raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: {command} again")
-    try:
-        return table.select(schema.names).cast(schema)
-    except (ValueError, pa.ArrowException) as error:
-        raise StoreError(f"{path} has other column types ({str(error).splitlines()[0]}): {command} again") from None
 
 
 def read_loaded_sequence(store: Store, name: str) -> SequenceInfo:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from jrdb_avr.queries.store import Store, write_json
 from jrdb_avr.schema.errors import StoreError, did_you_mean
 from jrdb_avr.schema.tables import GENERATION_KEY
+
+_LEVELS: Final = 30
+"""Maximum nesting depth of `run.json` that is read. New runs have less."""
+_TOKEN: Final = re.compile(rb'"(?:[^"\\]|\\.)*"|[^]["{}]+|.', re.DOTALL)
 
 
 class RunManifest(msgspec.Struct, frozen=True):
@@ -82,7 +87,7 @@ def read_run_manifest(store: Store, run_id: str) -> RunManifest:
     """
     path = store.run_path(run_id) / "run.json"
     try:
-        manifest = msgspec.json.decode(path.read_bytes(), type=RunManifest)
+        manifest = msgspec.json.decode(_cut_deep(path.read_bytes()), type=RunManifest)
     except FileNotFoundError:
         raise StoreError(f"{store.path} has no run {run_id!r}{did_you_mean(run_id, run_ids(store))}") from None
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
@@ -91,6 +96,19 @@ def read_run_manifest(store: Store, run_id: str) -> RunManifest:
         # The folder was copied or renamed. Reports would list its scores under the id of the original run.
         raise StoreError(f"{path} is of run {manifest.run_id!r}: give the folder that name, or take it out of runs/")
     return manifest
+
+
+def _cut_deep(data: bytes) -> bytes:
+    """Return JSON with null in place of values that are nested too deeply for readers, which are recursive."""
+    depth, kept = 0, []
+    for token in _TOKEN.findall(data):
+        depth += token in (b"[", b"{")
+        if depth <= _LEVELS:
+            kept.append(token)
+        elif depth == _LEVELS + 1 and token in (b"[", b"{"):
+            kept.append(b"null")
+        depth -= token in (b"]", b"}")
+    return b"".join(kept)
 
 
 def run_ids(store: Store) -> list[str]:

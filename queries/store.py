@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import fcntl
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,7 +27,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
-from jrdb_avr.queries.files import file_hash, write_atomic, write_bytes
+from jrdb_avr.queries.files import file_hash, lock_file, write_atomic, write_bytes
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
@@ -320,7 +319,7 @@ class Store(Displayed):
 
         Raises:
             LockedError: If another process holds the lock.
-            StoreError: If the folder cannot be written.
+            StoreError: If the folder cannot be written, or its file system has no locks.
         """
         lock = self.path / ".writing"
         try:
@@ -330,12 +329,10 @@ class Store(Displayed):
         except OSError as error:
             raise StoreError(f"cannot write to {self.path}: {error.strerror}; choose another --store") from None
         with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
+            if not lock_file(file):
                 file.seek(0)
                 holder = file.read(200).strip() or "another process"
-                raise LockedError(f"{self.path} is being written by {holder}: wait for it", holder=holder) from None
+                raise LockedError(f"{self.path} is being written by {holder}: wait for it", holder=holder)
             file.truncate(0)
             file.write(f"'{what}', process {os.getpid()}")
             file.flush()

@@ -57,6 +57,12 @@ def test_the_import_alone_loads_nothing():
     assert python("from jrdb_avr import *; print(Store.__name__, evaluate.__name__)") == ["Store", "evaluate"]
 
 
+def test_a_system_without_file_locks_is_told_in_a_line():
+    code = "import sys; sys.modules['fcntl'] = None; import jrdb_avr.engine.cli"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1) and "WSL" in done.stderr
+
+
 def test_programs_get_the_names_of_the_stub():
     tree = ast.parse((ROOT / "__init__.pyi").read_text("utf-8"))
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]

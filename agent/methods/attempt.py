@@ -13,12 +13,14 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
 
-from jrdb_avr.agent.methods.requests import panorama_messages, uniform_frames
+from jrdb_avr.agent.methods.requests import heading, uniform_frames
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.messages import Message, Part, metadata_of, transcript
+from jrdb_avr.agent.model.prompts import FOLDERS, ModeText, PromptSet, mode_text, render
 from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.model.schemas import answer_schema, evidence_schema, frame_schema
 from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
 from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Step, StepKind, Task, Verdict
@@ -137,6 +139,7 @@ class Attempt:
     """The model. None if a player makes the moves, because a player makes no model calls."""
 
     convention: Convention
+    prompts: PromptSet = "default"
     looks: int = 0
     calls: int = 0
     steps: int = 0
@@ -145,6 +148,43 @@ class Attempt:
     raw: str = ""
     made: list[tuple[int, float]] = field(default_factory=list)
     """Frame and angle of each crop."""
+
+    # -- texts --------------------------------------------------------------------------------------------------------
+
+    @property
+    def mode_text(self) -> ModeText:
+        """The prompt lines of the question's answer mode."""
+        return mode_text(self.task, self.prompts)
+
+    def render(self, name: str, **slots: object) -> str:
+        """Fill in a prompt of the attempt's set."""
+        return render(FOLDERS[self.prompts] + name, **slots)
+
+    def answer_schema(self, shown: Sequence[int] = ()) -> dict[str, Any]:
+        """Return the JSON Schema of the `answer` part of a reply.
+
+        Args:
+            shown: The frames that an answer may name if the set of prompts is `paper`. In the set `default`, an answer
+                may name every frame of the sequence.
+
+        Returns:
+            The schema.
+        """
+        question = self.task.question
+        frames = shown if self.prompts == "paper" else range(self.task.sequence.frame_count)
+        return answer_schema(question.answer_mode, question.choices, frames)
+
+    def final_schema(self, shown: Sequence[int]) -> dict[str, Any]:
+        """Return the JSON Schema of a final reply.
+
+        Args:
+            shown: The frames that the evidence may name, ascending.
+
+        Returns:
+            The schema of an object with the keys `answer` and `evidence_bboxes`.
+        """
+        evidence = evidence_schema(frame_schema(shown))
+        return decode.closed_object({"answer": self.answer_schema(shown), "evidence_bboxes": evidence})
 
     # -- calls and looks ----------------------------------------------------------------------------------------------
 
@@ -186,33 +226,6 @@ class Attempt:
         """
         return decode.reply_object(self.ask(messages, schema), self.convention)
 
-    def ask_twice(
-        self,
-        messages: Callable[[Sequence[str]], Sequence[Message]],
-        schema: Mapping[str, Any],
-        read: Callable[[dict[str, Any]], Read],
-    ) -> Read:
-        """Make a model call. If its reply cannot be read, make a second call that states the error.
-
-        Args:
-            messages: Function that returns the chat of a model call. Its argument is a list of lines to add to the
-                chat. For the first call, the list is empty. For the second call, the list holds one line: why the first
-                reply could not be read.
-            schema: The JSON Schema of the reply.
-            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
-
-        Returns:
-            The result of `read`.
-
-        Raises:
-            DecodeError: If neither reply can be read.
-        """
-        try:
-            return read(self.ask_object(messages(()), schema))
-        except DecodeError as error:
-            fault = f"Your last reply could not be used: {error}"
-        return read(self.ask_object(messages((fault,)), schema))
-
     def ask_stage(
         self, parts: Sequence[Part], stage: str, schema: Mapping[str, Any], read: Callable[[dict[str, Any]], Read]
     ) -> Read:
@@ -230,7 +243,18 @@ class Attempt:
         Raises:
             DecodeError: If neither reply can be read.
         """
-        return self.ask_twice(lambda faults: panorama_messages(self.task, (*parts, *faults, stage)), schema, read)
+        system = Message("system", (self.render("panorama_system", fps=f"{self.task.sequence.fps:g}"),))
+        before = (heading(self.task.question), *parts)
+
+        def ask(*faults: str) -> Read:
+            # The instructions come last, so that a server can cache the common beginning of two calls.
+            return read(self.ask_object([system, Message("user", (*before, *faults, stage))], schema))
+
+        try:
+            return ask()
+        except DecodeError as error:
+            fault = f"Your last reply could not be used: {error}"
+        return ask(fault)
 
     def read_look(self, part: Mapping[str, Any]) -> tuple[int, float]:
         """Decode a look that the model requests.

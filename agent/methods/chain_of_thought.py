@@ -6,9 +6,8 @@ from typing import Any, ClassVar, Final
 
 from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.monolithic import answer_from
-from jrdb_avr.agent.methods.requests import FixedContextMethod, panorama_parts
+from jrdb_avr.agent.methods.requests import FixedContextMethod, frame_list, panorama_parts
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction, Task
 
@@ -43,15 +42,18 @@ class ChainOfThought(FixedContextMethod):
         Returns:
             The prediction.
         """
-        attempt = Attempt(task, self.chat, self.convention)
+        attempt = Attempt(task, self.chat, self.convention, self.prompts)
         panoramas = attempt.panoramas(self.n)
-        stage = render("chain_of_thought_facts", most=MOST_FACTS, longest=LONGEST_FACT)
+        stage = attempt.render(
+            "chain_of_thought_facts", most=MOST_FACTS, longest=LONGEST_FACT, frames=frame_list(panoramas)
+        )
         try:
             facts = attempt.ask_stage(panorama_parts(panoramas), stage, _FACTS_SCHEMA, read_facts)
         except DecodeError:
             facts = ()
-        lines = [f"Fact {position}: {fact}" for position, fact in enumerate(facts, 1)]
-        return answer_from(attempt, panoramas, "chain_of_thought_answer", ("\n".join(lines or ["Facts: none"]),))
+        lines = [f"Fact {position}: {fact}" for position, fact in enumerate(facts, 1)] or ["Facts: none"]
+        listed = attempt.render("chain_of_thought_list", lines="\n".join(lines), joined=" | ".join(facts) or "none")
+        return answer_from(attempt, panoramas, "chain_of_thought_answer", (listed,))
 
 
 def read_facts(reply: dict[str, Any]) -> tuple[str, ...]:

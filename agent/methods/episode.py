@@ -12,11 +12,11 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, on_crop
-from jrdb_avr.agent.methods.requests import final_parts, heading
+from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
+from jrdb_avr.agent.model.prompts import PromptSet, frame_ranges
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import DecodeError, RefusedError
 from jrdb_avr.schema.method import Observation, Prediction, Question, Task
@@ -62,7 +62,13 @@ class Episode:
     """
 
     def __init__(
-        self, task: Task, *, budget: int = BUDGET, convention: Convention = CONTRACT, chat: Chat | None = None
+        self,
+        task: Task,
+        *,
+        budget: int = BUDGET,
+        convention: Convention = CONTRACT,
+        chat: Chat | None = None,
+        prompts: PromptSet = "default",
     ) -> None:
         """Begin the episode.
 
@@ -71,8 +77,9 @@ class Episode:
             budget: The maximum number of looks.
             convention: How the player writes boxes.
             chat: The model that a method calls through `attempt`. None if the player calls no model through `attempt`.
+            prompts: The set of prompts.
         """
-        self.attempt = Attempt(task, chat, convention)
+        self.attempt = Attempt(task, chat, convention, prompts)
         self.question: Question = task.question
         self.frames: tuple[int, ...] = task.sequence.frames
         self.budget = budget
@@ -100,10 +107,10 @@ class Episode:
         Returns:
             The text.
         """
-        text = mode_text(self.attempt.task)
-        return render(
+        text = self.attempt.mode_text
+        return self.attempt.render(
             "episode_rules",
-            turns=render(turns, answer_form=text.form),
+            turns=self.attempt.render(turns, answer_form=text.form),
             fps=f"{self.attempt.task.sequence.fps:g}",
             answer_rule=text.rule,
             budget=self.budget,
@@ -113,13 +120,13 @@ class Episode:
     @property
     def text(self) -> str:
         """The question with its choices, the legal frames, and a line of advice."""
-        frames, advice = frame_ranges(self.frames), mode_text(self.attempt.task).advice
-        return render("episode_task", heading=heading(self.question), frames=frames, advice=advice)
+        frames, advice = frame_ranges(self.frames), self.attempt.mode_text.advice
+        return self.attempt.render("episode_task", heading=heading(self.question), frames=frames, advice=advice)
 
     @property
     def answer_schema(self) -> dict[str, Any]:
         """The JSON Schema of the arguments of `submit`."""
-        return decode.closed_object(final_parts(self.question))
+        return self.attempt.final_schema(self.frames)
 
     @property
     def left(self) -> Remaining:

@@ -7,10 +7,8 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, on_panoramas
-from jrdb_avr.agent.methods.requests import FixedContextMethod, final_parts, frame_list, panorama_parts
-from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.methods.requests import FixedContextMethod, frame_list, panorama_parts
 from jrdb_avr.agent.model.messages import Part
-from jrdb_avr.agent.model.prompts import mode_text, render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Panorama, Prediction, Task
 
@@ -30,7 +28,7 @@ class Monolithic(FixedContextMethod):
         Returns:
             The prediction.
         """
-        attempt = Attempt(task, self.chat, self.convention)
+        attempt = Attempt(task, self.chat, self.convention, self.prompts)
         return answer_from(attempt, attempt.panoramas(self.n), "monolithic")
 
 
@@ -46,19 +44,19 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, fa
     Returns:
         The prediction.
     """
-    text = mode_text(attempt.task)
-    stage = render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frame_list(panoramas))
+    text, image = attempt.mode_text, on_panoramas(panoramas)
+    stage = attempt.render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frame_list(panoramas))
     kept = ParsedReply()
 
     def read(reply: Mapping[str, Any]) -> ParsedReply:
         nonlocal kept
-        kept = attempt.parse_final(reply, on_panoramas(panoramas)).over(kept)
+        kept = attempt.parse_final(reply, image).over(kept)
         if kept.faults:
             raise DecodeError("; ".join(kept.faults))
         return kept
 
     try:
-        schema = decode.closed_object(final_parts(attempt.task.question))
+        schema = attempt.final_schema(image.frames)
         return attempt.prediction(attempt.ask_stage((*panorama_parts(panoramas), *facts), stage, schema, read))
     except DecodeError as error:
         return attempt.prediction(replace(kept, faults=(str(error),)))

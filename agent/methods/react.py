@@ -8,20 +8,30 @@ therefore be stateless, and a finished call can be repeated from its request alo
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG
 from jrdb_avr.agent.methods.episode import BUDGET, Episode, most_moves
-from jrdb_avr.agent.methods.requests import final_parts, history_settings, shared_settings
+from jrdb_avr.agent.methods.requests import history_settings, shared_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.messages import Message, Part, Picture, metadata_line, picture_of, with_last_pictures
-from jrdb_avr.agent.model.prompts import render
+from jrdb_avr.agent.model.messages import (
+    Message,
+    Part,
+    Picture,
+    metadata_line,
+    metadata_of,
+    picture_of,
+    with_last_pictures,
+)
+from jrdb_avr.agent.model.prompts import PromptSet
+from jrdb_avr.agent.model.schemas import frame_schema
 from jrdb_avr.schema.errors import RefusedError
-from jrdb_avr.schema.method import Observation, Prediction, Question, Task
+from jrdb_avr.schema.method import Observation, Prediction, Task
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,7 @@ class ReAct:
     convention: Convention = CONTRACT
     budget: int = BUDGET
     history: int | None = None
+    prompts: PromptSet = "default"
 
     def settings(self) -> dict[str, Any]:
         """Return the method's settings for a run's manifest."""
@@ -45,6 +56,7 @@ class ReAct:
             "budget": self.budget,
             "most_calls": most_moves(self.budget),
             "duplicate_deg": DUPLICATE_DEG,
+            "prompts": self.prompts,
             **history_settings(self.history),
             **shared_settings(self.convention),
         }
@@ -58,7 +70,8 @@ class ReAct:
         Returns:
             The prediction.
         """
-        return self.play(Episode(task, budget=self.budget, convention=self.convention, chat=self.chat))
+        chat, prompts = self.chat, self.prompts
+        return self.play(Episode(task, budget=self.budget, convention=self.convention, chat=chat, prompts=prompts))
 
     def play(self, episode: Episode) -> Prediction:
         """Play an episode to its end.
@@ -69,7 +82,7 @@ class ReAct:
         Returns:
             The prediction.
         """
-        system, schema = episode.rules("react_turns"), react_turn_schema(episode.question)
+        system, schema = episode.rules("react_turns"), react_turn_schema(episode.frames, episode.answer_schema)
         looks: list[tuple[Observation, Picture]] = []
         while not episode.over:
             user = with_last_pictures([Message("user", _parts(episode, looks))], self.history)
@@ -90,31 +103,36 @@ def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tu
     for count, (observation, picture) in enumerate(looks, 1):
         parts += [f"Picture {count}: {metadata_line(observation)}", picture]
     frames, left = sorted({f"{observation.frame_index:06d}" for observation, _ in looks}), episode.left
-    state = render(
+    state = episode.attempt.render(
         "react_state",
+        observations=json.dumps([metadata_of(observation) for observation, _ in looks]),
+        turns_json=json.dumps(episode.turns),
+        mode=episode.question.answer_mode,
         steps="\n".join(f"{n}. {turn}" for n, turn in enumerate(episode.turns, 1)) or "none",
         seen=", ".join(frames) or "none",
         newest=len(looks) or "none",
         used=len(looks),
+        made=len(episode.turns),
         left=left.looks,
-        then="answer when you can" if left.looks else "no looks are left, so this turn must answer",
+        then="look on while anything is uncertain" if left.looks else "no looks are left, so this turn must answer",
         turns=left.moves,
         error=f"Your last turn was malformed, and cost a turn: {episode.error}" if episode.error else "",
     )
     return (*parts, state)
 
 
-def react_turn_schema(question: Question) -> dict[str, Any]:
+def react_turn_schema(frames: Sequence[int], answer: Mapping[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a turn, which is a look or the answer.
 
     Args:
-        question: The question.
+        frames: The frames that can be observed, ascending.
+        answer: The schema of an object with the answer and the evidence.
 
     Returns:
         The schema.
     """
-    look = {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
-    actions = {"observe": look, "answer": final_parts(question)}
+    look = {"frame_id": frame_schema(frames), "angle_deg": {"type": "number"}}
+    actions = {"observe": look, "answer": answer["properties"]}
     return {
         "anyOf": [
             decode.closed_object({"action": {"type": "string", "enum": [action]}, **parts})

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
-from jrdb_avr.agent.model.prompts import choice_lines, render
-from jrdb_avr.schema.method import Panorama, Question, Task
+from jrdb_avr.agent.model.messages import Part, metadata_line, picture_of
+from jrdb_avr.agent.model.prompts import PromptSet, choice_lines, render
+from jrdb_avr.schema.method import Panorama, Question
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH
 
 PANORAMAS: Final = 8
@@ -105,36 +104,6 @@ def heading(question: Question) -> str:
     )
 
 
-def final_parts(question: Question) -> dict[str, Any]:
-    """Return the JSON Schema of each value of a final reply.
-
-    Args:
-        question: The question.
-
-    Returns:
-        The schemas by key.
-    """
-    return {
-        "answer": decode.answer_schema(question.answer_mode, question.choices),
-        "evidence_bboxes": decode.EVIDENCE_SCHEMA,
-    }
-
-
-def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
-    """Return the messages of a call with panoramas.
-
-    Args:
-        task: The question to answer.
-        parts: The parts of the user message after the heading. Instructions come last, so that a server can cache the
-            common beginning of two calls.
-
-    Returns:
-        The system message that all methods share, and the user message.
-    """
-    system = render("panorama_system", fps=f"{task.sequence.fps:g}")
-    return [Message("system", (system,)), Message("user", (heading(task.question), *parts))]
-
-
 def shared_settings(convention: Convention) -> dict[str, Any]:
     """Return the settings that every method has in a run's manifest.
 
@@ -173,7 +142,9 @@ class FixedContextMethod:
     chat: Chat
     convention: Convention = CONTRACT
     n: int = PANORAMAS
+    prompts: PromptSet = "default"
 
     def settings(self) -> dict[str, Any]:
         """Return the method's settings for a run's manifest."""
-        return {**fixed_settings(self.n), **self.stages, **shared_settings(self.convention)}
+        fixed = {**fixed_settings(self.n), **self.stages, "prompts": self.prompts}
+        return {**fixed, **shared_settings(self.convention)}

@@ -23,12 +23,13 @@ import msgspec
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT_KEY, Convention, Order, Reading, Scale
-from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, finite, place_box, read_each, reply_object
+from jrdb_avr.agent.model.decode import closed_object, finite, place_box, read_each, reply_object
 from jrdb_avr.agent.model.labelled_people import PERSON_SCHEMA, LabelledPerson, find_errors, request_labels
 from jrdb_avr.agent.model.messages import Message, fingerprint
 from jrdb_avr.agent.model.probes import BOX_LINE, DrawnPicture, drawn_rectangles
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.model.schemas import evidence_schema
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.repeats import USUAL_REPEATS as _USUAL
@@ -38,7 +39,7 @@ PICTURES: Final = 50
 SEED: Final = 0
 FRAME_ID: Final = "000150"
 KEYS: Final = (CONTRACT_KEY, "bbox_2d", "box_2d", "box")
-BOX_REPLY_SCHEMA: Final = closed_object({"evidence_bboxes": EVIDENCE_SCHEMA})
+BOX_REPLY_SCHEMA: Final = closed_object({"evidence_bboxes": evidence_schema()})
 
 LEAST_REPLIES: Final = 10
 """Minimum number of replies that write their box under a key. With fewer replies, no reading of the key is chosen."""

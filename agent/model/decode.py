@@ -402,36 +402,3 @@ def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
         The schema.
     """
     return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
-
-
-FRAME_ID_SCHEMA: Final[dict[str, Any]] = {"type": "string", "pattern": "^[0-9]{6}$"}
-
-EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
-    "type": "array",
-    "minItems": 1,
-    "maxItems": 1,
-    "items": closed_object({"frame_id": FRAME_ID_SCHEMA, CONTRACT_KEY: BOX_SCHEMA}),
-}
-
-
-_PART_SCHEMAS: Final[dict[Kind, dict[str, Any]]] = {
-    "frame": FRAME_ID_SCHEMA,
-    "angle": {"type": "number"},
-    "decimal": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"},
-}
-
-
-def answer_schema(mode: AnswerMode, choices: Sequence[str]) -> dict[str, Any]:
-    """Return the JSON Schema of the `answer` part of a reply.
-
-    Args:
-        mode: The question's answer mode.
-        choices: The question's choices.
-
-    Returns:
-        The schema.
-    """
-    record = MODES[mode]
-    if record.is_choice:
-        return {"type": "integer", "minimum": 1, "maximum": len(choices)}
-    return closed_object({part.key: _PART_SCHEMAS[part.kind] for part in record.parts})

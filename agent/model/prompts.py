@@ -8,9 +8,15 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
-from typing import NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from jrdb_avr.schema.method import Task
+
+PromptSet = Literal["default", "paper"]
+"""Name of a set of the baselines' prompts. The set `paper` follows the prompts of the paper in its own words."""
+
+FOLDERS: Final[dict[PromptSet, str]] = {"default": "", "paper": "paper/"}
+"""Beginning of the names of a set's prompts."""
 
 
 def render(name: str, **slots: object) -> str:
@@ -39,20 +45,22 @@ class ModeText(NamedTuple):
 
     form: str
     rule: str
-    advice: str
+    advice: str = ""
 
 
-def mode_text(task: Task) -> ModeText:
+def mode_text(task: Task, prompts: PromptSet = "default") -> ModeText:
     """Return the prompt lines of a task's answer mode. They are the three lines of `prompts/answer_<mode>.md`.
 
     Args:
         task: The question to answer, with its sequence.
+        prompts: The set of prompts.
 
     Returns:
         The lines.
     """
     last_frame = f"{task.sequence.frame_count - 1:06d}"
-    return ModeText(*render(f"answer_{task.question.answer_mode}", last_frame=last_frame).split("\n"))
+    name = f"{FOLDERS[prompts]}answer_{task.question.answer_mode}"
+    return ModeText(*render(name, last_frame=last_frame).split("\n"))
 
 
 def choice_lines(choices: Sequence[str]) -> str:

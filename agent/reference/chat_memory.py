@@ -97,10 +97,9 @@ class ChatMemory:
         Returns:
             The schema.
         """
-        question = self.attempt.task.question
-        answer = decode.answer_schema(question.answer_mode, question.choices)
+        answer, frames = self.attempt.answer_schema(), self.attempt.task.sequence.frames
         final = call_schema(FINAL, {"answer": answer, "observation": OBSERVATION_SCHEMA, "box": BOX_SCHEMA})
-        return turn_schema([*([look_schema(advised=False)] if looks else []), final])
+        return turn_schema([*([look_schema(frames, advised=False)] if looks else []), final])
 
     def name_view(self, observation: Observation | Panorama, step: int) -> str:
         """Return the name of a new observation: "o1", "o2", ..."""

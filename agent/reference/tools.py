@@ -14,9 +14,8 @@ from jrdb_avr.agent.model.decode import BOX_SCHEMA
 from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, SAME_PLACE, Field, read_label, read_person
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.reference.chat_memory import OBSERVATION_SCHEMA
-from jrdb_avr.agent.reference.turns import FINAL, WRITES, NamedView, call_schema, look_schema, turn_schema
+from jrdb_avr.agent.reference.turns import FINAL, WRITES, NamedView, call_schema, turn_schema
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import iou
 
 GRAPH_TOOLS: Final = (*WRITES, "get_graph", FINAL)
@@ -195,14 +194,13 @@ def _origin(view: NamedView) -> tuple[str, int, int, tuple[int, int]]:
 # -- forms ------------------------------------------------------------------------------------------------------------
 
 
-def world_schema(question: Question, fields: Sequence[Field], looks: bool, advised: bool) -> dict[str, Any]:
+def world_schema(answer: Mapping[str, Any], fields: Sequence[Field], look: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the JSON Schema of a turn of an agent with a world model.
 
     Args:
-        question: The question.
+        answer: The schema of an answer.
         fields: The fields of a person.
-        looks: Whether looks can be made.
-        advised: Whether a look may leave out its frame and angle.
+        look: The schema of a look, or None if no look can be made.
 
     Returns:
         The schema.
@@ -210,7 +208,6 @@ def world_schema(question: Question, fields: Sequence[Field], looks: bool, advis
     view = {"observation": OBSERVATION_SCHEMA}
     person = decode.closed_object({"id": _NAME, "box": BOX_SCHEMA, **{field.key: field.schema() for field in fields}})
     labels, relations = _labelled(fields), [field for field in fields if field.kind == "relation"]
-    answer = decode.answer_schema(question.answer_mode, question.choices)
     calls = [
         call_schema("add_people", {**view, "people": {"type": "array", "maxItems": MOST_PEOPLE, "items": person}}),
         call_schema("add_entity", {**view, "id": _NAME, "box": BOX_SCHEMA}),
@@ -223,7 +220,7 @@ def world_schema(question: Question, fields: Sequence[Field], looks: bool, advis
         call_schema("get_graph", {}),
         call_schema(FINAL, {"answer": answer, "entity": _NAME}),
     ]
-    return turn_schema([*([look_schema(advised)] if looks else []), *calls])
+    return turn_schema([*([look] if look else []), *calls])
 
 
 def _keys(fields: Sequence[Field]) -> dict[str, Any]:

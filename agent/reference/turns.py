@@ -15,6 +15,7 @@ from jrdb_avr.agent.methods.attempt import ImageFrame, on_crop, on_panoramas
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part, Picture, metadata_of, picture_of
 from jrdb_avr.agent.model.prompts import render
+from jrdb_avr.agent.model.schemas import frame_schema
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
 
@@ -157,16 +158,17 @@ def turn_schema(calls: Collection[Mapping[str, Any]]) -> dict[str, Any]:
     )
 
 
-def look_schema(advised: bool) -> dict[str, Any]:
+def look_schema(frames: Sequence[int], advised: bool) -> dict[str, Any]:
     """Return the JSON Schema of a look.
 
     Args:
+        frames: The frames that can be observed, ascending.
         advised: Whether frame and angle may be left out.
 
     Returns:
         The schema.
     """
-    place = {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
+    place = {"frame_id": frame_schema(frames), "angle_deg": {"type": "number"}}
     return call_schema("observe", place, optional=tuple(place) if advised else ())
 
 

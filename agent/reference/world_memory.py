@@ -31,7 +31,7 @@ from jrdb_avr.agent.reference.tools import (
     read_relation,
     world_schema,
 )
-from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, look_schema, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, mode_of, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
@@ -136,7 +136,8 @@ class WorldMemory:
         Returns:
             The schema.
         """
-        return world_schema(self.attempt.task.question, self.fields, looks, self.advises)
+        look = look_schema(self.attempt.task.sequence.frames, self.advises) if looks else None
+        return world_schema(self.attempt.answer_schema(), self.fields, look)
 
     def _world(self, looks: Sequence[NextLook]) -> dict[str, Any]:
         """Return what the line `World` states: also the supported answer, if no further look is advised."""

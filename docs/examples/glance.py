@@ -1,8 +1,7 @@
 """A method in forty lines: one look straight ahead, one question to the model, its box in that picture."""
 
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, on_crop
-from jrdb_avr.agent.methods.requests import final_parts, heading
-from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import mode_text
@@ -34,7 +33,7 @@ class Glance:
             Message("user", (heading(task.question), f"Crop: {metadata_line(seen)}", picture_of(seen))),
         ]
         try:
-            reply = attempt.ask_object(messages, decode.closed_object(final_parts(task.question)))
+            reply = attempt.ask_object(messages, attempt.final_schema([seen.frame_index]))
             return attempt.prediction(attempt.parse_final(reply, on_crop(seen)))
         except DecodeError as error:
             return attempt.prediction(ParsedReply(faults=(str(error),)))

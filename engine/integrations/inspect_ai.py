@@ -46,9 +46,9 @@ from inspect_ai.util import JSONSchema
 
 from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
 from jrdb_avr.agent.model.conventions import convention_of
-from jrdb_avr.agent.model.decode import FRAME_ID_SCHEMA
 from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
 from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.model.schemas import frame_schema
 from jrdb_avr.engine.run.bench import Bench
 from jrdb_avr.engine.run.journal import finished_entry
 from jrdb_avr.engine.run.judge import Judge, QuestionScore
@@ -213,7 +213,7 @@ def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
         _move(state, episode, {"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
         return "taken"
 
-    look = {"frame_id": FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
+    look = {"frame_id": frame_schema(episode.frames), "angle_deg": {"type": "number"}}
     answer = episode.answer_schema["properties"]
     return [
         ToolDef(observe, "observe", LOOK, _parameters(look), max_output=0),

@@ -25,8 +25,8 @@ from mcp.server.transport_security import TransportSecuritySettings
 from pydantic import WithJsonSchema
 
 from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
-from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, FRAME_ID_SCHEMA
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
+from jrdb_avr.agent.model.schemas import FRAME_ID_SCHEMA, evidence_schema
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
 from jrdb_avr.engine.run.bench import Bench, find_images, root_of_images
 from jrdb_avr.engine.run.evaluate import default_run_id
@@ -52,7 +52,7 @@ _HOW: Final = (
 _FrameId = Annotated[Any, WithJsonSchema(FRAME_ID_SCHEMA)]
 _Angle = Annotated[Any, WithJsonSchema({"type": "number"})]
 _Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answer_schema has it"})]
-_Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
+_Boxes = Annotated[Any, WithJsonSchema(evidence_schema())]
 
 
 @dataclass

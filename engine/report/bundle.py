@@ -135,24 +135,40 @@ def bundle_submission(store: Store, bundle: Bundle) -> Submission:
 def _manifest(data: bytes, path: Path) -> RunManifest:
     try:
         run = msgspec.json.decode(data, type=RunManifest)
-        if not is_plain_name(run.run_id) or max(map(len, (run.method, run.model, run.created))) > _LONGEST_NAME:
-            raise ValueError("the name of its run, method or model is invalid or too long")
+        if not is_plain_name(run.run_id) or len(run.created) > _LONGEST_NAME:
+            raise ValueError("the name of its run is invalid")
         if not run.question_ids:
             raise ValueError("it names no question")
-        if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
-            raise ValueError("its settings are too large")
-        _check_depth(run.settings, _DEEPEST_SETTINGS)
+        check_size(run, _DEEPEST_SETTINGS)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be used: {' '.join(str(error).split())}", file=str(path)) from None
     return run
 
 
+def check_size(run: RunManifest, levels: int) -> None:
+    """Check that the names and settings of a run are small enough for tables and pages.
+
+    Args:
+        run: The manifest of the run.
+        levels: Maximum nesting depth of the settings.
+
+    Raises:
+        ValueError: If the method, the model or the settings are too large.
+    """
+    _check_depth(run.settings, levels)
+    if max(len(run.method), len(run.model)) > _LONGEST_NAME:
+        raise ValueError(f"the name of its method or model has more than {_LONGEST_NAME} characters")
+    if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
+        raise ValueError(f"its settings have more than {_LARGEST_SETTINGS >> 10} KB")
+
+
 def _check_depth(value: object, limit: int) -> None:
-    """Raise ValueError if settings are nested deeper than `limit`, because pages render settings recursively."""
+    """Raise ValueError if settings are nested deeper than `limit`, because pages render them recursively."""
+    if not isinstance(value, dict | list | tuple):
+        return
     if not limit:
         raise ValueError("its settings are nested too deeply")
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for item in inner:
+    for item in value.values() if isinstance(value, dict) else value:
         _check_depth(item, limit - 1)
 
 

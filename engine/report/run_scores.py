@@ -11,8 +11,7 @@ import pyarrow as pa
 
 from jrdb_avr.engine.report.scored_runs import ScoredRun
 from jrdb_avr.engine.report.scoring import find_questions, is_judged, score_predictions
-from jrdb_avr.engine.report.truth import Truth
-from jrdb_avr.queries.questions import fit_schema
+from jrdb_avr.engine.report.truth import Truth, fit_schema
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
 from jrdb_avr.schema.errors import InputError, StoreError

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.paper import GROUPS
-from jrdb_avr.queries.questions import sort_by_sequence
+from jrdb_avr.engine.report.truth import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints

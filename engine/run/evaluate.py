@@ -31,6 +31,7 @@ from jrdb_avr.engine.run.journal import Finished, world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
     ADVISED,
+    BASELINES,
     CHATS,
     METHODS,
     NO_MODEL,
@@ -240,6 +241,8 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
         raise InputError(f"--advice off works only with the method {ADVISED}", field="advice")
     if playing.history is not None and method not in CHATS:
         raise InputError(f"--history works only with {' and '.join(CHATS)}", field="history")
+    if playing.prompts != "default" and method not in BASELINES:
+        raise InputError(f"--prompts works only with {', '.join(BASELINES)}", field="prompts")
     if selection.shard is not None and not 1 <= selection.shard[0] <= selection.shard[1]:
         raise InputError("--shard I/N: I is a number from 1 to N", field="shard")
 
@@ -263,7 +266,8 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
     run_id = options.run.run_id
     if run_id is None:
         advice = "-advice-off" if options.method.advice == "off" else ""
-        run_id = default_run_id(_name(method) + advice, model)
+        prompts = "" if options.method.prompts == "default" else f"-{options.method.prompts}"
+        run_id = default_run_id(_name(method) + advice + prompts, model)
     # Checked before the suffixes are added, because an empty id would be valid with a suffix.
     store.run_path(run_id)
     shard, epoch = options.selection.shard, options.run.epoch
@@ -314,8 +318,7 @@ def _make(
     if is_custom(method):
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_options"
-    advice = options.advice == "on"
-    return make_method(method, endpoint.client, endpoint.convention, world, advice, options.history)
+    return make_method(method, endpoint.client, endpoint.convention, world, options)
 
 
 def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextManager[WorldModel | None]:

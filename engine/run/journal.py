@@ -9,7 +9,6 @@ If a run is killed, its journal keeps all finished questions. The tables are sor
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import itertools
 import operator
 import os
@@ -21,7 +20,7 @@ from typing import Annotated, Any, Final, NamedTuple, get_args
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.queries.files import sync_folder
+from jrdb_avr.queries.files import lock_file, sync_folder
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_groups
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import encode_answer
@@ -244,15 +243,12 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
     Raises:
         LockedError: If another process holds the lock.
         OSError: If the folder does not exist.
+        StoreError: If the file system has no locks.
     """
     path = folder / ".lock"
     with path.open("ab") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise LockedError(
-                f"{folder.parent} is being run by another process: wait for it{doing}", holder=str(path)
-            ) from None
+        if not lock_file(file):
+            raise LockedError(f"{folder.parent} is being run by another process: wait for it{doing}", holder=str(path))
         yield
 
 

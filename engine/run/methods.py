@@ -18,6 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
+from jrdb_avr.engine.run.options import DEFAULTS, MethodOptions
 from jrdb_avr.schema.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,6 +40,9 @@ METHODS: Final = (
     "agent-no-world",
     "agent-passive-no-world",
 )
+
+BASELINES: Final = METHODS[:4]
+"""Methods that have the set of prompts `paper`."""
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send all pictures again in every turn."""
@@ -83,8 +87,7 @@ def make_method(
     chat: Chat,
     convention: Convention,
     world: WorldModel | None = None,
-    advice: bool = True,
-    history: int | None = None,
+    options: MethodOptions = DEFAULTS.method,
 ) -> ConfigurableMethod:
     """Make a built-in method.
 
@@ -93,8 +96,7 @@ def make_method(
         chat: The client of the model.
         convention: How the model writes boxes.
         world: The world model, which a method of `WORLD_METHODS` needs.
-        advice: Whether the world model of `ADVISED` proposes looks.
-        history: Maximum number of pictures that a method of `CHATS` sends in a turn. If None, it sends all pictures.
+        options: The options. Options of other methods have no effect.
 
     Returns:
         The method.
@@ -108,11 +110,12 @@ def make_method(
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
-        return ReferenceAgent(chat, convention, world, looks="passive" not in name, advice=advice, history=history)
+        looks, advice = "passive" not in name, options.advice == "on"
+        return ReferenceAgent(chat, convention, world, looks=looks, advice=advice, history=options.history)
     if name == ReAct.name:
-        return ReAct(chat, convention, history=history)
+        return ReAct(chat, convention, history=options.history, prompts=options.prompts)
     kinds = (Monolithic, ChainOfThought, SearchRecognize)
-    return next(kind for kind in kinds if kind.name == name)(chat, convention)
+    return next(kind for kind in kinds if kind.name == name)(chat, convention, prompts=options.prompts)
 
 
 # -- custom methods ---------------------------------------------------------------------------------------------------

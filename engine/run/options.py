@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from jrdb_avr.agent.model.options import DEFAULTS as DEFAULT_ENDPOINT
 from jrdb_avr.agent.model.options import EndpointOptions
+from jrdb_avr.agent.model.prompts import PromptSet
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.option import Options, option
 
@@ -90,6 +91,12 @@ class MethodOptions(Options):
         "older picture. Default: send all pictures.",
         minimum=1,
         metavar="N",
+    )
+    prompts: PromptSet = option(
+        "default",
+        "For methods other than the agents: the set of prompts. 'paper' follows the paper's prompts in other words. "
+        "Its runs are named METHOD-paper-MODEL unless --run-id is given. docs/methods.md lists the differences.",
+        choices=get_args(PromptSet),
     )
     opaque: bool = option(
         False,

@@ -15,6 +15,7 @@ from typing import Any, Final
 import msgspec
 import pyarrow as pa
 
+from jrdb_avr.engine.report.bundle import check_size
 from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, with_id, write_tables
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import matching, select_questions
@@ -22,13 +23,16 @@ from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.errors import InputError, StoreError
 
 _ACCESS: Final = (
     *("base_url", "timeout_s", "retries", "token_parameter", "headers", "api_key_env"),
     *("rpm", "tpm", "price", "max_cost"),
 )
 """Settings of an endpoint that do not influence replies, such as its address."""
+
+_LEVELS: Final = 22
+"""Maximum depth of the settings of a new run: 20 levels of a custom method's settings, and two around them."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
 """Settings that are empty if the server was too busy to report them. An empty value counts as equal to any other."""
@@ -93,6 +97,7 @@ class Run(Journal):
             The manifest.
 
         Raises:
+            InputError: If the name of the method or model, or the settings are too large.
             StoreError: If the run on disk has another method, model or setting that influences answers.
         """
         manifest = RunManifest(
@@ -106,6 +111,10 @@ class Run(Journal):
             selection=selection,
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
+        try:
+            check_size(manifest, _LEVELS)
+        except ValueError as error:
+            raise InputError(f"run {self.run_id!r} cannot be stored: {error}; shorten it", field="method") from None
         check_manifest(self.store, manifest)
         return manifest
 

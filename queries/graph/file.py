@@ -12,7 +12,6 @@ The lock on `<graph>.lock` admits either one writer or any number of readers.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import shutil
 import time
@@ -22,7 +21,7 @@ from typing import IO, Final
 
 import msgspec
 
-from jrdb_avr.queries.files import file_hash
+from jrdb_avr.queries.files import file_hash, lock_file
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
@@ -172,7 +171,7 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 
     Raises:
         LockedError: If another process holds the lock. The message names that process.
-        StoreError: If the lock file cannot be opened.
+        StoreError: If the lock file cannot be opened, or the file system has no locks.
     """
     lock = path.with_name(path.name + ".lock")
     try:
@@ -185,20 +184,12 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
         except OSError:
             return Path(os.devnull).open()
     end = time.monotonic() + ENDING_S
-    while True:
-        try:
-            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-            break
-        except OSError:
-            holder, ends = _holder(file)
-            if not ends or time.monotonic() > end:
-                file.close()
-                raise LockedError(f"{path} is in use by {holder}: wait for it, or end it", holder=holder) from None
-            time.sleep(0.02)
-    if not shared:
-        file.truncate(0)
-        file.write(f"process {os.getpid()}")
-        file.flush()
+    while not lock_file(file, shared=shared):
+        holder, ends = _holder(file)
+        if not ends or time.monotonic() > end:
+            file.close()
+            raise LockedError(f"{path} is in use by {holder}: wait for it, or end it", holder=holder)
+        time.sleep(0.02)
     return file
 
 
@@ -207,7 +198,7 @@ def _holder(file: IO[str]) -> tuple[str, bool]:
 
     The function looks for the process in the kernel's table of locks. The second value is true if that process is
     about to end. It is also true if the table does not list a process, because the lock has then just been released.
-    If the system lacks the table, or the table does not list a process, the description comes from the lock file.
+    Without the table, as on macOS or if another machine holds the lock, the process is not named.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -220,8 +211,7 @@ def _holder(file: IO[str]) -> tuple[str, bool]:
                 # A process that is about to end has no command line.
                 command = Path("/proc", fields[4], "cmdline").read_bytes().decode(errors="replace").rstrip("\0")
                 return f"process {fields[4]} ({command.replace(chr(0), ' ')[:120]})", not command
-    file.seek(0)
-    return file.read(100).strip() or "another process", ends
+    return "another process", ends
 
 
 def make_parent(graph: Path) -> None:

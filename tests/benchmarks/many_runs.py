@@ -10,7 +10,7 @@ import json
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.queries.questions import sort_by_sequence
+from jrdb_avr.engine.report.truth import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import crop_left

@@ -11,6 +11,7 @@ import json
 import math
 from pathlib import Path
 from random import Random
+from typing import get_args
 
 import httpx2
 import limits
@@ -20,9 +21,11 @@ from mutate import mutate
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
+from jrdb_avr.agent.model.prompts import PromptSet
 from jrdb_avr.agent.model.reply import thinking_text
 from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.methods import CHATS, METHODS, WORLD_METHODS, make_method
+from jrdb_avr.engine.run.options import MethodOptions
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.errors import AvrError
@@ -236,8 +239,10 @@ def run_case(seed, number, folder, save):
     chat.rng, chat.bodies = rng, []
     name = rng.choice(METHODS)
     world = _worlds.model(number) if name in WORLD_METHODS else None
-    history = rng.choice((None, 0, 2)) if name in CHATS else None
-    method = make_method(name, chat, chat.convention, world, rng.random() < 0.5, history)
+    history = rng.choice((None, 1, 2)) if name in CHATS else None
+    advice, prompts = rng.choice(("on", "off")), rng.choice(get_args(PromptSet))
+    options = MethodOptions(advice=advice, history=history, prompts=prompts)
+    method = make_method(name, chat, chat.convention, world, options)
     steps, writes = [], []
     limits.begin()
     try:

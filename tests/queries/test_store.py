@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 from pathlib import Path
 
@@ -12,7 +14,9 @@ from hypothesis import strategies as st
 from processes import run
 from worlds import person, write_root
 
+from jrdb_avr.engine.run.journal import journal_lock
 from jrdb_avr.queries.files import write_atomic
+from jrdb_avr.queries.graph.file import lock_graph
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_table
 from jrdb_avr.schema.errors import InputError, StoreError
 
@@ -63,6 +67,27 @@ def test_a_broken_manifest_is_one_error(tmp_path, text):
     (tmp_path / "store.json").write_text(text)
     with pytest.raises(StoreError, match="load"):
         Store(tmp_path).manifest()
+
+
+def test_a_file_system_without_locks_is_named_and_no_process(tmp_path, monkeypatch):
+    graph, folder = tmp_path / "graph.kuzu", tmp_path / "journal"
+    folder.mkdir()
+    for lock in (graph.with_name("graph.kuzu.lock"), tmp_path / ".writing"):
+        lock.write_text("process 1")
+
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    for use in (
+        lambda: lock_graph(graph, shared=True),
+        lambda: lock_graph(graph, shared=False),
+        lambda: Store(tmp_path).writing("load").__enter__(),
+        lambda: journal_lock(folder, "").__enter__(),
+    ):
+        with pytest.raises(StoreError, match="its file system has no locks") as error:
+            use()
+        assert "process" not in str(error.value) and "local disk" in str(error.value)
 
 
 @pytest.mark.parametrize("command", ["load {root}", "load --rebuild", "generate", "score", "runs remove r"])

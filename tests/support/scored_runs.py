@@ -9,9 +9,8 @@ import pyarrow as pa
 
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import is_judged, score_predictions
-from jrdb_avr.engine.report.truth import Truth, row_numbers
+from jrdb_avr.engine.report.truth import Truth, row_numbers, sort_by_sequence
 from jrdb_avr.engine.run.journal import Journal, KeptEntries, LinePosition, journal_folder
-from jrdb_avr.queries.questions import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, encode_answer

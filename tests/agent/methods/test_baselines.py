@@ -1,6 +1,7 @@
 """Monolithic, chain of thought, search and recognize: what each stage is shown, and what becomes of each reply."""
 
 import json
+import re
 from itertools import pairwise
 
 import pytest
@@ -14,10 +15,11 @@ from jrdb_avr.agent.methods.chain_of_thought import LONGEST_FACT, MOST_FACTS, Ch
 from jrdb_avr.agent.methods.monolithic import Monolithic
 from jrdb_avr.agent.methods.requests import uniform_frames
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
-from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.conventions import CONTRACT, convention_of
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.engine.run.methods import METHODS, make_method
+from jrdb_avr.engine.run.options import MethodOptions
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 
 BASELINES = {"monolithic": Monolithic, "chain-of-thought": ChainOfThought, "search-recognize": SearchRecognize}
@@ -325,6 +327,9 @@ def test_methods_by_name_say_what_they_are_set_to(name):
     settings = json.loads(json.dumps(method.settings()))
     assert (settings["panoramas"], settings["calls"]) == (8, CALLS[name])
     assert settings["frames"].endswith("first and last included")
+    assert settings["prompts"] == "default"
+    paper = make_method(name, Chat([]), CONTRACT, options=MethodOptions(prompts="paper"))
+    assert paper.settings()["prompts"] == "paper"
     assert settings["convention"]["name"] == "qwen3-vl"
     assert settings["convention"]["boxes"] == {"bbox": "xyxy", "bbox_2d": "xyxy"}
     assert settings["image_sizes"]["panorama"] == [3760, 480]
@@ -347,18 +352,32 @@ def test_each_stage_asks_for_its_own_keys(name):
         assert list(json.loads(reply)) == schema["required"] == list(schema["properties"])
 
 
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_schema_lists_the_frames_that_a_reply_may_name(name):
+    ids = ["000000", "000005", "000010"]
+    for prompts, first_to_last in (("default", "000999"), ("paper", None)):
+        _, chat = play(BASELINES[name], script(name, {"frame_id": "000005"}), blank_task("frame", ()), prompts=prompts)
+        frame = chat.schemas[-1]["properties"]["answer"]["properties"]["frame_id"]
+        assert frame.get("enum") == (None if first_to_last else ids)
+        assert not first_to_last or re.fullmatch(frame["pattern"], first_to_last)
+        boxes = [schema["properties"].get("evidence_bboxes") for schema in chat.schemas]
+        shown = [box["items"]["properties"]["frame_id"]["enum"] for box in boxes if box]
+        assert shown == ([ids, ["000005"]] if name == "search-recognize" else [ids])
+
+
+@pytest.mark.parametrize("prompts", ["", "paper"])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", BASELINES)
-def test_prompts_are_as_they_were(name, mode):
+def test_prompts_are_as_they_were(name, mode, prompts):
     """The texts are part of the benchmark: to change one, delete its snapshot, run twice and read the new one."""
     task = blank_task(mode, CHOICES if mode == "multiple_choice" else (), frames=(0, 45), frame_count=300)
     # Some of the answers lie beyond the video, and are requested again.
     said = script(name, ANSWERS[mode][0], 45)
-    _, chat = play(BASELINES[name], [*said, said[-1]], task)
+    _, chat = play(BASELINES[name], [*said, said[-1]], task, prompts=prompts or "default")
     assert len({messages[0] for messages in chat.sent}) == 1
     stages = ["\n".join(p if isinstance(p, str) else f"[{p.name}]" for p in chat.user(n)) for n in range(CALLS[name])]
     told = "\n=====\n".join([chat.sent[0][0].parts[0], *stages]) + "\n"
-    path = SNAPSHOTS / f"{name.replace('-', '_')}_{mode}.txt"
+    path = SNAPSHOTS / prompts / f"{name.replace('-', '_')}_{mode}.txt"
     if not path.exists():
         path.write_text(told)
         pytest.fail(f"wrote {path}: read it, then run again")

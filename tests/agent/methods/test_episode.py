@@ -107,6 +107,8 @@ def test_the_prompt_has_the_rules_and_its_example_is_taken(mode):
     assert episode.prompt.endswith(episode.text) and "Question: What does the person do?" in episode.text
     assert "Legal frames: 000000 to 000010 in steps of 5" in episode.text
     form = episode.prompt.partition("submit_answer(answer=")[2].partition(", evidence_bboxes=")[0]
+    for placeholder, value in (("<frame_id>", "000005"), ("<angle>", "180"), ("<choice>", "2"), ("<number>", "12.5")):
+        form = form.replace(placeholder, value)
     arguments = {"answer": msgspec.json.decode(form), "evidence_bboxes": BOX}
     assert list(arguments) == list(episode.answer_schema["properties"]) == episode.answer_schema["required"]
     episode.observe(5, 180.0)

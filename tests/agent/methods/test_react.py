@@ -57,6 +57,17 @@ def test_look_and_answer(world):
     assert len(images(requests[1])) == 1
 
 
+def test_a_turn_says_look_on_until_no_look_is_left(world):
+    _, requests, _ = play(world, [look(150, 180), look(150, 90)], budget=1)
+    first, second = (texts(request) for request in requests[:2])
+    assert "look on while anything is uncertain" in first and "no looks are left, so this turn must answer" in second
+    # The pictures of the sixty legal frames can be looked at, and each can hold the evidence.
+    look_form, answer_form = requests[0]["response_format"]["json_schema"]["schema"]["anyOf"]
+    listed = [f"{frame:06d}" for frame in range(0, 300, 5)]
+    assert look_form["properties"]["frame_id"] == {"type": "string", "enum": listed}
+    assert answer_form["properties"]["evidence_bboxes"]["items"]["properties"]["frame_id"]["enum"] == listed
+
+
 def test_every_turn_carries_all_crops_with_their_places(world):
     _, requests, _ = play(world, [look(150, 180), look(155, 90), look(0, -45), answer(frame=0)])
     assert [len(images(request)) for request in requests] == [0, 1, 2, 3]
@@ -165,14 +176,16 @@ def test_the_transcript_names_images_and_holds_none(world):
     assert crop_left(180.0) == json.loads(steps[1].response)["left"]
 
 
+@pytest.mark.parametrize("prompts", ["", "paper"])
 @pytest.mark.parametrize("mode", ["multiple_choice", "frame", "span", "frame_viewpoint", "number"])
-def test_prompts_are_as_they_were(world, mode):
+def test_prompts_are_as_they_were(world, mode, prompts):
     """The texts are part of the benchmark: to change one, delete its snapshot, run twice and read the new one."""
     choices = CHOICES if mode == "multiple_choice" else ()
-    _, requests, _ = play(world, [look(150, 180), "x", look(150, 180.5), look(150, 90), "y"], mode, choices)
+    script = [look(150, 180), "x", look(150, 180.5), look(150, 90), "y"]
+    _, requests, _ = play(world, script, mode, choices, prompts=prompts or "default")
     system = requests[4]["messages"][0]["content"]
     user = "\n".join(part.get("text", "[image]") for part in requests[4]["messages"][1]["content"])
-    path = SNAPSHOTS / f"react_{mode}.txt"
+    path = SNAPSHOTS / prompts / f"react_{mode}.txt"
     told = f"{system}\n=====\n{user}\n"
     if not path.exists():
         path.parent.mkdir(exist_ok=True)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import time
 
 import pytest
@@ -13,6 +14,7 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import CONTRACT, convention_of
 from jrdb_avr.agent.model.decode import read_answer, read_evidence, reply_object, write_box
 from jrdb_avr.agent.model.reply import Reply, answer_text, thinking_text
+from jrdb_avr.agent.model.schemas import answer_schema, frame_schema
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
@@ -310,9 +312,18 @@ def test_boxes_survive_writing_and_reading(x, y, w, h, order):
 
 def test_schemas_close_every_object():
     for mode in ("multiple_choice", "frame", "span", "frame_viewpoint", "number"):
-        schema = decode.answer_schema(mode, ["a", "b"])
+        schema = answer_schema(mode, ["a", "b"], range(9))
         assert schema["type"] == "integer" or schema["additionalProperties"] is False
-    assert decode.answer_schema("multiple_choice", ["a", "b"])["maximum"] == 2
+    assert answer_schema("multiple_choice", ["a", "b"], range(9))["maximum"] == 2
+
+
+@given(st.integers(201, 999_999), st.integers(0, 999_999))
+def test_of_many_frames_a_schema_states_form_and_range(count, frame):
+    pattern = re.compile(frame_schema(range(count))["pattern"])
+    assert bool(pattern.search(f"{frame:06d}")) == (frame < count)
+    for id in (f"{count - 1:06d}", "000000"):
+        assert pattern.search(id) and not pattern.search(id + "0") and not pattern.search("x" + id)
+    assert frame_schema((3, 15)) == {"type": "string", "enum": ["000003", "000015"]}
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """The simulated model plays every method without a world model on painted worlds, through requests and a socket."""
 
 import threading
+from functools import partial
 
 import pytest
 from painted import Actor, World, still
@@ -26,11 +27,12 @@ SHOWN = tuple(range(0, 106, 15))
 TWO = (15, 90)
 SPARSE = tuple(range(0, 701, 5))
 """Of these, frames 0, 100, 200 ... 700 are shown."""
+PAPER = [partial(method, prompts="paper") for method in (Monolithic, ChainOfThought)]
 FIXED = (Monolithic, ChainOfThought)
 
 
 def no_world(chat):
-    return make_method("agent-no-world", chat, CONTRACT, None, True, None)
+    return make_method("agent-no-world", chat, CONTRACT)
 
 
 LOOKING = (ReAct, no_world)
@@ -131,7 +133,7 @@ def test_a_start_is_bracketed(play, method):
 # -- fixed pictures ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", FIXED)
+@pytest.mark.parametrize("method", [*FIXED, *PAPER])
 def test_panoramas_that_show_all_that_is_asked(play, method):
     steps = []
     world = play.world([changing(lambda frame: Box(1800, 120, 71, 220)), *CROWD])
@@ -161,11 +163,11 @@ def test_a_start_is_between_two_panoramas(play, method):
     check_box(prediction, person.box)
 
 
-@pytest.mark.parametrize("x", [1800, 3700, -30])
-def test_search_refines_the_box_in_its_crop(play, x):
+@pytest.mark.parametrize(("x", "prompts"), [(1800, "default"), (3700, "default"), (-30, "default"), (-30, "paper")])
+def test_search_refines_the_box_in_its_crop(play, x, prompts):
     person = changing(lambda frame: Box(x, 120, 33, 90), until=0)
     world = play.world([person, *CROWD], TWO)
-    prediction = play.change(SearchRecognize, world, [Condition(action="sitting", at="t0")])
+    prediction = play.change(partial(SearchRecognize, prompts=prompts), world, [Condition(action="sitting", at="t0")])
     check_box(prediction, person.box, 0.95)
     assert prediction.n_model_calls == 3
     assert prediction.answer.choice == POSES.index("sitting") + 1

@@ -65,6 +65,7 @@ EVALUATE = ("evaluate", "--store", ".", "--model", "simulated", "--method")
         (*EVALUATE, "monolithic", "--history", "2"),
         (*EVALUATE, "agent", "--history", "2"),
         (*EVALUATE, "agent-no-world", "--advice", "off"),
+        (*EVALUATE, "agent", "--prompts", "paper"),
     ],
 )
 def test_wrong_calls_are_exit_code_2(arguments):

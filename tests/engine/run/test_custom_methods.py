@@ -66,6 +66,27 @@ def test_a_run_is_resumed_under_equal_settings_only(store, tmp_path):
     assert "settings" in err and err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "settings", "fault"),
+    [
+        ("'m' * 200", "nested(20)", ""),
+        ("'m' * 201", "{}", "more than 200 characters"),
+        ("'m'", "{'a': 'x' * 70_000}", "more than 64 KB"),
+        ("'m'", "nested(21)", "nested too deeply"),
+        ("'m'", "nested(900)", "nested too deeply"),
+        ("'m'", "nested(100_000)", "nested too deeply"),
+    ],
+)
+def test_a_name_or_settings_that_would_spoil_tables_are_refused(store, tmp_path, name, settings, fault):
+    file = tmp_path / "mine.py"
+    nested = "\n\ndef nested(n):\n    v = {}\n    for _ in range(n - 1):\n        v = {'a': v}\n    return v\n"
+    file.write_text(MINE.replace("'mine'", name).replace("{'n': 1}", settings) + nested)
+    code, _, err = run("evaluate", "--store", store.path, "--method", f"{file}:Mine", "--model", "none")
+    assert (code == 0) == (not fault) and fault in err
+    if fault:
+        assert err.splitlines()[-1].startswith("jrdb-avr: run 'mine-") and not list(store.path.glob("runs/*/run.json"))
+
+
 BAD = {
     "nowhere.py:X": "no such file",
     "json:X": "json has no function or class X",

@@ -144,6 +144,19 @@ def test_wrong_calls_are_one_line(store, options, message):
     assert "\n" not in str(result.exception)
 
 
+def test_the_set_of_prompts_is_a_setting_of_the_run(store):
+    evaluate(store, "--prompts", "paper", "--limit", "4")
+    paper = json.loads((store.run_path("react-paper-simulated-perfect") / "run.json").read_bytes())
+    assert paper["settings"]["method"]["prompts"] == "paper"
+    # The simulated model reads both sets, and looks and answers the same.
+    evaluate(store, "--run-id", "default", "--limit", "4")
+    told = ["answer", "evidence_frame", "n_observations"]
+    both = [predictions(store, run_id).select(told) for run_id in ("react-paper-simulated-perfect", "default")]
+    assert both[0].equals(both[1])
+    refused = evaluate(store, "--run-id", "default", "--limit", "4", "--prompts", "paper", "--resume", ok=False)
+    assert "settings" in str(refused.exception)
+
+
 def test_default_run_ids_are_names():
     assert default_run_id("react", "Qwen/Qwen3-VL-8B:latest") == "react-Qwen-Qwen3-VL-8B-latest"
     assert default_run_id("react", "../..") == "react"

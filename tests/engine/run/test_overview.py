@@ -68,6 +68,21 @@ def test_a_run_is_shown_with_its_settings(store):
     assert run("runs", "show", "noe", "-s", store.path)[2].endswith("has no run 'noe': did you mean one?\n")
 
 
+@pytest.mark.parametrize("depth", [900, 100_000])
+@pytest.mark.parametrize("pair", ['{"a":}', "[]"])
+def test_names_and_settings_of_any_size_are_read(store, depth, pair):
+    path = store.run_path("one") / "run.json"
+    manifest = json.loads(path.read_text()) | {"method": "m" * 300_000, "settings": {"method": "DEEP", "kept": '[\\"{'}}
+    path.write_text(
+        json.dumps(manifest).replace('"DEEP"', pair[:-1] * depth + "1" * (len(pair) > 2) + pair[-1] * depth)
+    )
+    assert state(store, "one") == "complete"
+    for command in (["runs", "list"], ["runs", "show", "one"], ["report"], ["score"], ["sql", "FROM runs"]):
+        code, out, err = run(*command, "-s", store.path)
+        assert code == 0 and len(out) < 2_000_000, (command, err)
+    assert show_run(store, "one")["settings"]["kept"] == '[\\"{'
+
+
 def test_removing_takes_one_run_and_nothing_else(store):
     others = {path: path.read_bytes() for path in store.path.rglob("*") if path.is_file() and "one" not in path.parts}
     assert run("runs", "remove", "one", "-s", store.path)[0] == 2, "nobody was asked"
