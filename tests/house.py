@@ -25,8 +25,8 @@ BUDGETS = {
     "engine/run": 1640,
     "engine/report": 1190,
     "engine/pages": 1150,
-    "engine/integrations": 600,
-    "engine/commands": 1400,
+    "engine/integrations": 680,
+    "engine/commands": 1430,
     "engine": 350,
     "agent/model": 1250,
     "agent/methods": 495,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_100
+TOTAL = 26_300
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

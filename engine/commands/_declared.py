@@ -17,6 +17,9 @@ from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._options import FILE
 from jrdb_avr.schema.errors import InputError
 
+FILTERS: Final = ("families", "templates", "sequences")
+"""Fields of `QuestionSelection` that keep only questions with certain values."""
+
 _C = TypeVar("_C", bound=Callable[..., Any])
 
 

@@ -121,7 +121,8 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         return
 
     from jrdb_avr.engine.report import comparison, formats
-    from jrdb_avr.engine.report.tables import TABLES
+    from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
+    from jrdb_avr.engine.report.tables import TABLES, TOO_FEW
     from jrdb_avr.schema.errors import did_you_mean
 
     names = TABLES if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
@@ -159,6 +160,8 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             click.echo((f"% {title}\n" if title else "") + text, nl=False)
         else:
             _print_table(name, rows_of[name], title)
+    if any(row.get("interval") == TOO_FEW for rows in rows_of.values() for row in rows):
+        note(f"{TOO_FEW} in rows with fewer than {LEAST_CLUSTERS} sequences")
     note(f"scores are percent of n; a box is right from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if any(map(formats.other_counts, rows_of.values())):
         note(f"{formats.MARK} fewer or more questions than most runs; --table pairs compares common questions")
@@ -197,7 +200,7 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     # The id of a run already names its method and model. Rows of the paper have no id, so they need both columns.
     repeated = () if any(row.get("run") == "" for row in cells) else ("method", "model")
     empty = (column for column in ("label", "setting") if not any(row.get(column) for row in cells))
-    left_out = {"iou", *repeated, *empty}
+    left_out = {"iou", "interval", *repeated, *empty}
     plain = [{k: v for k, v in row.items() if _MACRO not in k and k not in left_out} for row in cells]
     print_rows(filled(plain), title=title)
     if name == "main":
