@@ -23,19 +23,19 @@ BUDGETS = {
     "engine/validate": 600,
     "engine/observe": 230,
     "engine/run": 1640,
-    "engine/report": 1190,
-    "engine/pages": 1150,
+    "engine/report": 1300,
+    "engine/pages": 1200,
     "engine/integrations": 680,
     "engine/commands": 1430,
     "engine": 350,
     "agent/model": 1250,
-    "agent/methods": 495,
+    "agent/methods": 530,
     "agent/simulated": 950,
     "agent": 2750,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_300
+TOTAL = 26_700
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

@@ -45,8 +45,6 @@ _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _BUSY: Final = (429, 498, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
-_BROKEN: Final = (408, 409, 424, 425, 499)
-"""Further statuses of failures that may be gone at the next attempt: time-outs, conflicts, failed dependencies."""
 _NO_CREDIT: Final = re.compile(r"(?i)insufficient_quota|insufficient (balance|credit|fund)|credit balance|arrearage")
 """Codes and reasons of a refusal if the account has no credit left, so that waiting does not help."""
 _FILTERED: Final = re.compile(
@@ -59,10 +57,11 @@ _REMEDIES: Final = {
     403: "; put a key that may use the model into ${key}",
     404: "; check --base-url (most end in /v1) and --model",
 }
+_STREAMS: Final = "; replies are only read whole: set the server, or a gateway before it, to reply without a stream"
 _HINTS: Final = {
     "temperature": "; if the model takes none, give --temperature none",
     "chat_template_kwargs|enable_thinking": "; give --thinking template: requests then hold no chat_template_kwargs",
-    r"\bstream": "; replies must come whole: serve the model by a server that needs no stream",
+    r"\bstream": _STREAMS,
 }
 """Remedies by a regular expression for the reason of a refusal."""
 
@@ -132,7 +131,7 @@ class Client:
         self.base_url = checked_url(base_url)
         self.model = model
         self.options = options
-        self.convention = convention
+        self.convention = options.delimited(convention)
         self._calls = None if cache is None else Calls(cache)
         self._credentials = Credentials(options.api_key_env, options.headers)
         self._limit = RateLimit(options.rpm, options.tpm, clock, pause)
@@ -302,6 +301,8 @@ class Client:
             raise self._refusal(error, response.headers.get("retry-after", "")) from None
         except ValueError as error:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
+            if kind == "text/event-stream":
+                raise EndpointError(f"{self.base_url}: the server streams its reply{_STREAMS}") from None
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
         self._served.setdefault(reply.model)
         reply = with_tokens(reply, messages, self.convention)
@@ -321,7 +322,8 @@ class Client:
         if error.status == 402 or _NO_CREDIT.search(stated):
             return RunStoppedError(f"{self.base_url}: {reason}; the key's account has no credit left")
         busy = error.status in _BUSY
-        if busy or error.status >= 500 or error.status in _BROKEN:
+        # Time-outs, conflicts and failed dependencies may be gone at the next attempt, as errors of the server may.
+        if busy or error.status >= 500 or error.status in (408, 409, 424, 425, 499):
             pause = float(retry_after) if _SECONDS.fullmatch(retry_after) else None
             return _PassingError(reason, _CROWDED, pause) if busy else _BrokenError(reason, pause=pause)
         if _FILTERED.match(stated):

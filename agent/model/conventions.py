@@ -29,6 +29,17 @@ TOLERANCE: Final = 0.02
 CONTRACT_KEY: Final = "bbox"
 
 
+_TAGS: Final = tuple((f"<{tag}>", f"</{tag}>") for tag in ("think", "thinking", "thought", "seed:think"))
+_MARKS: Final = (("◁think▷", "◁/think▷"), ("[THINK]", "[/THINK]"), ("<|START_THINKING|>", "<|END_THINKING|>"))
+_CHANNELS: Final = (("<|channel>thought", "<channel|>"), ("<|channel|>analysis<|message|>", "<|end|>"))
+"""Delimiters of thinking: of Qwen and others, of Kimi, Magistral and Command, and of Gemma and gpt-oss."""
+
+_HEADS: Final = ("<|start|>assistant", "<|channel|>final<|message|>", "<|START_RESPONSE|>", "<|END_RESPONSE|>")
+_BOXES: Final = ("<|begin_of_box|>", "<|end_of_box|>", "<answer>", "</answer>")
+_ENDS: Final = ("<|return|>", "<|end|>", "<|im_end|>", "<|eot_id|>", "<|endoftext|>", "<end_of_turn>", "</s>")
+"""Delimiters around the answer: of channels, boxes, and the ends of turns."""
+
+
 @dataclass(frozen=True)
 class Reading:
     """The order and the scale of the four numbers of a box."""
@@ -44,16 +55,18 @@ class Convention:
     boxes: the keys under which a reply may hold a box, each with the order of its four numbers. The contract's key
     `bbox` is always one of these keys. scales: the scale of the numbers under a key of `boxes`. If a key is missing in
     `scales`, its numbers are in thousandths of the image. thinking: pairs of delimiters that open and close the
-    thinking in a reply. thinks: whether the chat template makes the model think by default, None if unknown. switches:
-    whether `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple: the model resizes images so
-    that both sides are multiples of this number of pixels. A square of this side becomes a token. least_pixels and
-    image_pixels: the minimum and maximum number of pixels of a resized image, 0 if unknown. fills: whether the model
-    enlarges all images to the maximum. calibrated: whether `calibrate` found the orders and scales.
+    thinking in a reply. around: delimiters that may begin or end the rest, removed once each, in order. thinks: whether
+    the chat template makes the model think by default, None if unknown. switches: whether `enable_thinking` in
+    `chat_template_kwargs` turns thinking on and off. multiple: the model resizes images so that both sides are
+    multiples of this number of pixels. A square of this side becomes a token. least_pixels and image_pixels: the
+    minimum and maximum number of pixels of a resized image, 0 if unknown. fills: whether the model enlarges all images
+    to the maximum. calibrated: whether `calibrate` found the orders and scales.
     """
 
     name: str
     boxes: Mapping[str, Order]
-    thinking: tuple[tuple[str, str], ...] = (("<think>", "</think>"), ("<|channel>thought", "<channel|>"))
+    thinking: tuple[tuple[str, str], ...] = (*_TAGS, *_MARKS, *_CHANNELS)
+    around: tuple[str, ...] = (*_HEADS, *_BOXES, *_ENDS)
     thinks: bool | None = None
     switches: bool = False
     scales: Mapping[str, Scale] = field(default_factory=dict)

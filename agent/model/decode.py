@@ -1,10 +1,11 @@
 """Decode a model's reply. The rules are strict, and the same for every method.
 
 A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if declared
-delimiters enclose the thinking. A box is four numbers under a key. The model's convention, which is fixed before the
-first reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are
-not swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded
-independently, so one of them can be valid even if the other is not. No function here gets a true answer or a true box.
+delimiters enclose the thinking. Other declared delimiters may begin and end the object. A box is four numbers under a
+key. The model's convention, which is fixed before the first reply, says how to read the four numbers. Decoding repairs
+and guesses nothing. For example, reversed corners are not swapped. An invalid part raises a DecodeError with the
+reason. The answer and the evidence are decoded independently, so one of them can be valid even if the other is not. No
+function here gets a true answer or a true box.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def write_box(box: Box, size: Size) -> list[int]:
     return [min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners]
 
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Version of the contract in every run's manifest. It is increased when the way of reading replies changes."""
 
 # -- the reply as one object ------------------------------------------------------------------------------------------

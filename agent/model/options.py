@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal, get_args
 
 from jrdb_avr.agent.model.conventions import Convention
@@ -65,6 +65,11 @@ class EndpointOptions(Options):
         "Request key that holds --max-tokens. 'auto' tries max_tokens first, then max_completion_tokens.",
         choices=get_args(TokenParameter),
     )
+    delimiters: tuple[str, ...] = option(
+        (),
+        "OPEN...CLOSE around thinking in replies, or TEXT beside an answer. May be repeated.",
+        flag="delimiter",
+    )
     extra_body: Mapping[str, Any] = option({}, "JSON object with keys to add to every request.")
     headers: Mapping[str, str] = option(
         {}, "Header of every request. The environment variable ENV holds its value. May be repeated.", flag="header"
@@ -92,6 +97,8 @@ class EndpointOptions(Options):
             raise InputError("--temperature is a number from 0, or none", field="temperature")
         for key in _OWNED & self.extra_body.keys():
             raise InputError(f"--extra-body must not hold {key!r}: leave it out or give its option", field="extra_body")
+        if not all(text.partition("...")[0] for text in self.delimiters):
+            raise InputError("--delimiter is OPEN...CLOSE, or a text beside an answer", field="delimiters")
         for name in self.headers:
             if not _HEADER.fullmatch(name) or name.lower() in _OWN_HEADERS:
                 raise InputError(f"--header {name!a}: no header of this name can be set", field="headers")
@@ -108,7 +115,7 @@ class EndpointOptions(Options):
             The options by name. The key `chat_template_kwargs` holds the arguments of the chat template.
         """
         settings = {name: value for name, value in asdict(self).items() if name != "base_url"}
-        return settings | {"chat_template_kwargs": self.template(convention)}
+        return settings | {"delimiters": [*self.delimiters], "chat_template_kwargs": self.template(convention)}
 
     def request(self, model: str, convention: Convention, schema: Mapping[str, Any] | None) -> dict[str, Any]:
         """Return the body of a request without its messages.
@@ -137,6 +144,20 @@ class EndpointOptions(Options):
                 form = {"name": "reply", "schema": dict(schema), "strict": True}
                 request["response_format"]["json_schema"] = form
         return request
+
+    def delimited(self, convention: Convention) -> Convention:
+        """Add the delimiters of the options to a convention.
+
+        Args:
+            convention: The convention of the model.
+
+        Returns:
+            The convention with all delimiters.
+        """
+        pairs = [text.partition("...")[::2] for text in self.delimiters]
+        thinking = [(opening, closing) for opening, closing in pairs if closing]
+        around = [opening for opening, closing in pairs if not closing]
+        return replace(convention, thinking=(*convention.thinking, *thinking), around=(*convention.around, *around))
 
     def thinks(self, convention: Convention) -> bool | None:
         """Return whether the options or the convention declare that replies hold thinking.

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from jrdb_avr.agent.model.conventions import Convention
-from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.messages import Message, Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import InputError
 
@@ -23,8 +23,6 @@ Dollars = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 _CHARACTERS: Final = 4
 """Usual number of characters per token."""
-_PIXELS: Final = 28 * 28
-"""Usual number of pixels per token, for a model whose convention does not declare its resizing."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +58,11 @@ def estimate_tokens(messages: Sequence[Message], convention: Convention) -> int:
     Returns:
         The estimated number of tokens.
     """
-    tokens = 0.0
-    for part in (part for message in messages for part in message.parts):
-        if isinstance(part, str):
-            tokens += len(part) / _CHARACTERS
-        else:
-            tokens += convention.picture_tokens(*part.size) or part.size[0] * part.size[1] / _PIXELS
-    return round(tokens)
+    parts = [part for message in messages for part in message.parts]
+    sizes = [part.size for part in parts if isinstance(part, Picture)]
+    # If the convention does not declare the resizing, a token has 28 x 28 pixels.
+    pictures = (convention.picture_tokens(*size) or size[0] * size[1] / 28**2 for size in sizes)
+    return round(sum(len(part) for part in parts if isinstance(part, str)) / _CHARACTERS + sum(pictures))
 
 
 def with_tokens(reply: Reply, messages: Sequence[Message], convention: Convention) -> Reply:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import Any, Final
 
@@ -66,7 +67,7 @@ class _Choice(msgspec.Struct):
 
 class _Completion(msgspec.Struct):
     choices: list[_Choice]
-    model: str | None = None
+    model: Any = None
     usage: Any = None
 
 
@@ -74,8 +75,7 @@ class _Completion(msgspec.Struct):
 msgspec.convert({"choices": []}, _Completion)
 
 _FAILED: Final = re.compile(
-    "error|abort|cancel|fail|insufficient|time_?d?_?out|unavailable|overload|capacity|interrupt|disconnect|preempt|busy"
-    "|rate_?limit|shutdown"
+    "error|abort|cancel|fail|insufficient|time_?d?_?out|unavailable|overload|capacity|interrupt|disconnect|busy|shutdown"
 )
 """Parts of finish reasons of replies that the server broke off, such as "insufficient_system_resource"."""
 
@@ -86,6 +86,10 @@ _ENDS: Final = {
     **dict.fromkeys(("safety", "sensitive", "recitation", "prohibited_content", "refusal"), "content_filter"),
 }
 """Finish reasons of chat completions, by finish reason. Some servers pass on the finish reasons of other protocols."""
+
+
+_ESCAPE: Final = re.compile(r"\\(?:u[dD][89abAB]\w{2}\\u[dD][c-fC-F]\w{2}|(u[dD][89a-fA-F]\w{2})|.)")
+"""An escape of JSON, or a pair of surrogates. The group is a lone surrogate."""
 
 
 def read_completion(data: bytes, status: int = 200) -> Reply:
@@ -103,16 +107,22 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
         ValueError: If the body is not a chat completion.
     """
     failed = not 200 <= status < 300
+    # Lone surrogates, and bytes that are not UTF-8, become U+FFFD, because no file could hold them.
+    text = _ESCAPE.sub(lambda match: r"\ufffd" if match[1] else match[0], data.decode("utf-8-sig", "replace"))
     try:
-        body = msgspec.json.decode(data)
-        if failed or (isinstance(body, dict) and (body.get("error") or body.get("object") == "error")):
-            reason, code = _reason(body)
-            raise ErrorReply(status, data.decode() if reason is None else reason, code)
+        # NaN and Infinity are not JSON, but some servers write them into fields that are not read here.
+        body = json.loads(text, parse_constant=lambda name: None)
+    except (ValueError, RecursionError) as error:
+        if not failed:
+            raise ValueError(str(error)) from None
+        body = None
+    if failed or (isinstance(body, dict) and (body.get("error") or body.get("object") == "error")):
+        reason, code = _reason(body)
+        raise ErrorReply(status, text if reason is None else reason, code)
+    try:
         completion = msgspec.convert(body, _Completion)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        if failed:
-            raise ErrorReply(status, data.decode(errors="replace")) from None
-        raise ValueError(str(error) or "nested too deep") from None
+    except msgspec.ValidationError as error:
+        raise ValueError(str(error)) from None
     if not completion.choices:
         raise ValueError("it holds no choice")
     choice = completion.choices[0]
@@ -122,16 +132,16 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
     if choice.error or _FAILED.search(plain):
         reason, code = _reason(choice.error)
         raise ErrorReply(status, reason or f"the reply ended with finish_reason {ended!a}", code)
-    text = choice.message
-    content, thinking = _parts(text.content)
+    message = choice.message
+    content, thinking = _parts(message.content)
     return Reply(
         content=content,
-        reasoning=_text(text.reasoning_content) or _text(text.reasoning) or thinking,
+        reasoning=_text(message.reasoning_content) or _text(message.reasoning) or thinking,
         finish_reason=ended,
-        model=(completion.model or "")[:_LONGEST_NAME],
+        model=_text(completion.model)[:_LONGEST_NAME],
         prompt_tokens=_tokens(completion.usage, "prompt_tokens", "input_tokens"),
         completion_tokens=_tokens(completion.usage, "completion_tokens", "output_tokens"),
-        refusal=_text(text.refusal),
+        refusal=_text(message.refusal),
     )
 
 
@@ -220,9 +230,19 @@ def thinking_text(reply: Reply, convention: Convention) -> str:
 
 
 def _after_thinking(text: str, convention: Convention) -> str:
+    # The end of a turn may also be the end of thinking, so it is removed first.
+    text = _between(text, convention)
     for opening, closing in convention.thinking:
         text = _without_blocks(text, opening, closing)
-    return text.strip()
+    return _between(text, convention)
+
+
+def _between(text: str, convention: Convention) -> str:
+    """Return the text without the delimiters that may stand around an answer."""
+    text = text.strip()
+    for delimiter in convention.around:
+        text = text.removeprefix(delimiter).removesuffix(delimiter).strip()
+    return text
 
 
 def _without_blocks(text: str, opening: str, closing: str) -> str:

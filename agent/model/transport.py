@@ -37,7 +37,7 @@ class Bounds:
 
     connect_s: float = 20.0
     probe_s: float = 180.0
-    reply_bytes: int = 16 << 20
+    reply_bytes: int = 1 << 20
 
 
 BOUNDS: Final = Bounds()

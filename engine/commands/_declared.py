@@ -111,7 +111,7 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
 }
 """Click types by name of the field. Other fields have the click type that their annotation and limits imply."""
 
-_REPEATED: Final = ("headers", "simulate", "families", "templates", "sequences")
+_REPEATED: Final = ("delimiters", "headers", "simulate", "families", "templates", "sequences")
 """Options that may be repeated."""
 
 

@@ -82,7 +82,15 @@ def score(
     help="main and twins (default), ablation, pairs, people, epochs, evidence_failures, cost, all, or a "
     "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
 )
-@click.option("--paper", is_flag=True, help="Add the paper's scores as rows with the label 'paper'.")
+@click.option("--paper", is_flag=True, help="Print the paper's tables 3 to 6 beside the scores of this store.")
+@click.option(
+    "--as",
+    "backbone",
+    metavar="MODEL",
+    default="",
+    help="With --paper: the paper's name, such as 'Qwen3.5 9B', for the model of the RUNS. Runs of the simulated model "
+    "and of the sample need it.",
+)
 @iou_option
 @form_option
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown tables.")
@@ -115,16 +123,17 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         raise click.UsageError("choose one of --json, --csv, --markdown, --latex and --html")
 
     if options["leaderboard"]:
-        if tables or paper or as_markdown or as_latex:
+        if tables or paper or options["backbone"] or as_markdown or as_latex:
             raise click.UsageError("--leaderboard goes with --iou, --json, --csv and --html only")
         _leaderboard(store, options["runs"], iou, html, form)
         return
 
     from jrdb_avr.engine.report import comparison, formats
     from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
-    from jrdb_avr.engine.report.tables import TABLES, TOO_FEW
+    from jrdb_avr.engine.report.tables import PAPER_TABLES, TABLES, TOO_FEW
     from jrdb_avr.schema.errors import did_you_mean
 
+    tables += tuple(PAPER_TABLES) if paper else ()
     names = TABLES if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
     for name in names:
         if name not in TABLES:
@@ -132,12 +141,12 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     if form == "csv" and len(names) > 1:
         raise click.UsageError("--csv prints one table: give one --table")
     with warnings_as_notes():
-        result = comparison.report(store, options["runs"], iou=iou, paper=paper)
+        result = comparison.report(store, options["runs"], iou=iou, backbone=options["backbone"])
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page
 
-        write_page(html, report_page(result))
+        write_page(html, report_page(result, paper=paper))
         note(f"wrote {html}")
         return
     rows_of = result.tables(names)
@@ -151,13 +160,16 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
     for name in names:
-        title = name if len(names) > 1 else ""
+        caption = formats.paper_caption(name, rows_of[name])
+        title = caption or (name if len(names) > 1 else "")
         if as_markdown:
             text = formats.markdown(formats.for_paper(name, rows_of[name]))
             click.echo((f"### {title}\n\n" if title else "") + text, nl=False)
         elif as_latex:
-            text = formats.latex(formats.for_paper(name, rows_of[name]))
+            text = formats.latex(formats.for_paper(name, rows_of[name]), caption)
             click.echo((f"% {title}\n" if title else "") + text, nl=False)
+        elif caption:
+            print_rows(formats.for_paper(name, rows_of[name]), title=title)
         else:
             _print_table(name, rows_of[name], title)
     if any(row.get("interval") == TOO_FEW for rows in rows_of.values() for row in rows):
@@ -165,10 +177,10 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     note(f"scores are percent of n; a box is right from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if any(map(formats.other_counts, rows_of.values())):
         note(f"{formats.MARK} fewer or more questions than most runs; --table pairs compares common questions")
-    if paper and "ablation" in names:
+    if "paper_ablation" in names:
         from jrdb_avr.engine.report.directions import direction_lines
 
-        for line in direction_lines(rows_of["ablation"]):
+        for line in direction_lines(result.table("ablation")):
             note(line)
     if result.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")
@@ -197,10 +209,9 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     from jrdb_avr.engine.report.formats import filled, with_intervals
 
     cells = with_intervals(rows)
-    # The id of a run already names its method and model. Rows of the paper have no id, so they need both columns.
-    repeated = () if any(row.get("run") == "" for row in cells) else ("method", "model")
     empty = (column for column in ("label", "setting") if not any(row.get(column) for row in cells))
-    left_out = {"iou", "interval", *repeated, *empty}
+    # The id of a run already names its method and model.
+    left_out = {"iou", "interval", "method", "model", *empty}
     plain = [{k: v for k, v in row.items() if _MACRO not in k and k not in left_out} for row in cells]
     print_rows(filled(plain), title=title)
     if name == "main":

@@ -12,9 +12,9 @@ from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.svg import SQUARE, scatter
 from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.comparison import Comparison
-from jrdb_avr.engine.report.formats import filled, without_rough
+from jrdb_avr.engine.report.formats import filled, for_paper, paper_caption, without_rough
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
-from jrdb_avr.engine.report.tables import TOO_FEW, Line
+from jrdb_avr.engine.report.tables import PAPER_TABLES, TOO_FEW, Line
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",
@@ -23,13 +23,14 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
 }
 
 
-def report_page(comparison: Comparison, links: Callable[..., str] | None = None) -> str:
+def report_page(comparison: Comparison, links: Callable[..., str] | None = None, paper: bool = False) -> str:
     """Render the report page.
 
     Args:
         comparison: The scored runs.
         links: The function `view.address` if `view` shows the page, so that the page links to the other pages of
             `view`. Otherwise None.
+        paper: Whether the page has the paper's tables beside the figures of the store.
 
     Returns:
         The HTML.
@@ -37,16 +38,15 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
     runs = comparison.runs
     tables = {name: without_rough(rows) for name, rows in comparison.tables().items()}
     names = [run.manifest.run_id for run in runs]
-    measured = [row for row in tables["main"] if row["run"]]
     families = pivot(tables["family"], "family", "run")
     return render(
         "report.html",
         names=names,
         comparison=comparison,
         tables=tables,
-        main=measured,
-        published=[row for row in tables["main"] if not row["run"]],
-        dots=scatter(measured),
+        main=tables["main"],
+        paper={paper_caption(name, tables[name]): for_paper(name, tables[name]) for name in PAPER_TABLES if paper},
+        dots=scatter(tables["main"]),
         families=families,
         about={run.manifest.run_id: {"method": run.manifest.method, "model": run.manifest.model} for run in runs},
         options={
@@ -62,7 +62,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
         causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),
         titles=_TITLES,
         apart=distinguishing_settings(runs),
-        labels={row["run"]: row["label"] for row in (*measured, *tables["twins"])},
+        labels={row["run"]: row["label"] for row in (*tables["main"], *tables["twins"])},
         too_few=TOO_FEW,
         least=LEAST_CLUSTERS,
         kinds=SCORES,
@@ -104,20 +104,19 @@ class Crossed:
     """
 
     def __init__(self, rows: Sequence[Line], dimension: str, runs: Sequence[str]) -> None:
-        """Arrange rows of `breakdown_rows`. Rows of the paper count as rows of a run with the name "paper"."""
-        cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
+        """Arrange rows of `breakdown_rows`."""
+        cells = pivot(rows, dimension, "run")
         questions = {
             value: Counter(r["n"] for run, r in rows_of_value.items() if run in runs)
             for value, rows_of_value in cells.items()
         }
         self.counts = {value: times.most_common(1)[0][0] for value, times in questions.items() if times}
-        names = [*runs, *(["paper"] if any(not row["run"] for row in rows) else [])]
-        self.values_across = len(names) > len(cells)
-        self.across = list(cells) if self.values_across else names
+        self.values_across = len(runs) > len(cells)
+        self.across = list(cells if self.values_across else runs)
         if self.values_across:
-            self.rows = [(run, [rows_of_value.get(run) for rows_of_value in cells.values()]) for run in names]
+            self.rows = [(run, [rows_of_value.get(run) for rows_of_value in cells.values()]) for run in runs]
         else:
-            self.rows = [(value, [rows_of_value.get(run) for run in names]) for value, rows_of_value in cells.items()]
+            self.rows = [(value, [rows_of_value.get(run) for run in runs]) for value, rows_of_value in cells.items()]
 
 
 def settings_text(settings: Line) -> str:

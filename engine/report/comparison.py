@@ -15,7 +15,9 @@ from jrdb_avr.engine.report.epochs import epoch_rows
 from jrdb_avr.engine.report.people import agreement_rows
 from jrdb_avr.engine.report.run_scores import read_submission, score_runs, write_scores
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
+from jrdb_avr.engine.report.side_by_side import paper_rows
 from jrdb_avr.engine.report.tables import (
+    PAPER_TABLES,
     RESULTS,
     TABLES,
     Line,
@@ -23,8 +25,6 @@ from jrdb_avr.engine.report.tables import (
     breakdown_rows,
     main_rows,
     pair_rows,
-    published_groups,
-    published_rows,
     ranked,
     rows_of_pairs,
     score_row,
@@ -62,14 +62,14 @@ class Comparison(Displayed):
         index: The questions of the store, with their labels.
         runs: The scored runs, the best run first.
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
-        paper: Whether the tables include the figures of the paper.
+        backbone: The paper's name for the model of the runs that no alias matches, or "".
     """
 
     store: Store
     index: QuestionIndex
     runs: list[ScoredRun]
     iou: float
-    paper: bool
+    backbone: str
 
     @property
     def scores(self) -> pa.Table:
@@ -120,18 +120,20 @@ class Comparison(Displayed):
         index, runs = self.index, self.runs
         match name:
             case "main":
-                return main_rows(index, runs, self.iou) + (published_rows() if self.paper else [])
+                return main_rows(index, runs, self.iou)
             case "twins":
                 return twin_rows(index, runs)
             case "ablation":
-                return ablation_rows(runs, published=self.paper)
+                return ablation_rows(runs)
             case "pairs":
                 return pair_rows(index, runs)
             case "people":
                 return agreement_rows(index, runs)
             case "epochs":
                 return epoch_rows(runs)
-        return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
+        if name in PAPER_TABLES:
+            return paper_rows(name, index, runs, self.backbone)
+        return breakdown_rows(index, runs, name)
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Line]]:
         """Return the rows that queries of `queries/results/` find for the runs of this comparison.
@@ -179,7 +181,10 @@ class Comparison(Displayed):
         Returns:
             A `tabular` environment, and notes below it if the table has settings.
         """
-        return formats.latex(formats.for_paper(name, self.table(name)))
+        rows = self.table(name)
+        return formats.latex(
+            formats.for_paper(name, rows), formats.paper_caption(name, rows) if name in PAPER_TABLES else ""
+        )
 
     def _summary(self) -> str:
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"
@@ -211,14 +216,15 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     return Scores(rows)
 
 
-def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 0.5, paper: bool = False) -> Comparison:
+def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 0.5, backbone: str = "") -> Comparison:
     """Score runs and compare them in tables. Stored scores are not used, and nothing is written.
 
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
-        paper: Whether the tables include the figures of the paper.
+        backbone: In the tables of `PAPER_TABLES`, the paper's name for the model of the runs that no alias matches.
+            Runs of the simulated model and of the sample are in these tables only under this name.
 
     Returns:
         The comparison, which computes each table on request.
@@ -228,7 +234,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
             that cannot be scored is left out with an AvrWarning.
     """
     store = Store.of(store)
-    return Comparison(store, read_index(store), _scored(store, runs, iou), iou, paper)
+    return Comparison(store, read_index(store), _scored(store, runs, iou), iou, backbone)
 
 
 @dataclass(frozen=True, repr=False)

@@ -36,12 +36,11 @@ def direction_lines(rows: Sequence[_Row]) -> list[str]:
     Returns:
         One line for each combination of model and setting that has all four cells.
     """
-    measured = [row for row in rows if row["label"] != "paper"]
     lines = []
-    for model, setting in sorted({(row["model"], row["setting"]) for row in measured}):
+    for model, setting in sorted({(row["model"], row["setting"]) for row in rows}):
         cells = {
             (row["active"], row["world_model"]): row
-            for row in measured
+            for row in rows
             if (row["model"], row["setting"]) == (model, setting)
         }
         if len(cells) == len(_METHODS):

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from jrdb_avr.engine.report.tables import TOO_FEW
+from jrdb_avr.engine.report.tables import PAPER_TABLES, SHARES, TOO_FEW
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.queries.display import list_columns
 
@@ -20,7 +20,7 @@ MARK: Final = "*"
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
 """Score columns of the table `main` in a paper, in order. They follow the columns that name the run."""
 
-_SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
+_SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?( synthetic)?")
 """Pattern of a formatted cell that has a number, possibly with a mark or an interval."""
 
 _LEAST_P: Final = 0.0001
@@ -92,10 +92,20 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
         rows: The rows of the table.
 
     Returns:
-        The rows with all values as text. If the table is `main`, the macro averages are left out, and the rows are
+        The rows with all values as text. Synthetic figures in a table of `PAPER_TABLES` are called so. If the table is
+        `main`, the macro averages are left out, and the rows are
         grouped by model. The groups are in the order of the first rows of their models.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
+    if name in PAPER_TABLES:
+        for row, source in zip(printed, rows, strict=True):
+            if source.get("run", "") is None:
+                row |= {column: "" for column in row if source.get(column) is None}
+            elif source["label"]:
+                # A synthetic figure must not be mistaken for a result beside the paper's.
+                row |= {column: f"{row[column]} synthetic" for column in ("n", *SHARES) if column in row}
+        hidden = ["label", *(["setting"] if not any(row.get("setting") for row in printed) else [])]
+        return [{column: text for column, text in row.items() if column not in hidden} for row in printed]
     if name != "main":
         return printed
     models = [row["model"] for row in printed]
@@ -108,6 +118,22 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
     columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
     texts = ("setting", "interval")
     return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in printed]
+
+
+def paper_caption(name: str, rows: Rows) -> str:
+    """Return the caption of a table of `PAPER_TABLES`, or "" for any other table.
+
+    Args:
+        name: The name of the table.
+        rows: The rows of the table.
+
+    Returns:
+        The caption. It says if the store's figures are synthetic.
+    """
+    if name not in PAPER_TABLES:
+        return ""
+    synthetic = "; the figures of this store are synthetic" if any(row.get("label") for row in rows) else ""
+    return f"{PAPER_TABLES[name]}, beside this store [95 % interval] and the difference{synthetic}"
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:
@@ -151,7 +177,7 @@ def markdown(rows: Rows) -> str:
     return _tabulated(rows, cells, list_columns(rows), "pipe")
 
 
-def latex(rows: Rows) -> str:
+def latex(rows: Rows, title: str = "") -> str:
     """Return rows as a LaTeX table for the package booktabs.
 
     If values repeat in the first column, horizontal lines separate the groups of equal values. Settings are long,
@@ -159,6 +185,7 @@ def latex(rows: Rows) -> str:
 
     Args:
         rows: The rows. `cell` formats their values.
+        title: The first note, or "".
 
     Returns:
         A `tabular` environment, followed by the notes.
@@ -177,8 +204,8 @@ def latex(rows: Rows) -> str:
     # A bracket at the start of a row gets braces. LaTeX would take it for an argument of the previous row's end.
     text = re.sub(r"^( *)\[", r"\1{[}", text, flags=re.MULTILINE)
     escapes = str.maketrans(LATEX_ESCAPE_RULES)
-    explained = (f"{note_number}: {_in_one_line(note).translate(escapes)}" for note, note_number in numbers.items())
-    return text + "".join(rf"\par{{\footnotesize {line}}}" + "\n" for line in explained)
+    explained = [title] * bool(title) + [f"{mark}: {_in_one_line(note)}" for note, mark in numbers.items()]
+    return text + "".join(rf"\par{{\footnotesize {line.translate(escapes)}}}" + "\n" for line in explained)
 
 
 def _tabulated(rows: Rows, cells: Sequence[Any], heads: Sequence[str], form: str) -> str:
@@ -198,9 +225,9 @@ def _in_one_line(text: str) -> str:
 
 
 def _is_number(rows: Rows, name: str) -> bool:
-    values = [row.get(name) for row in rows if row.get(name) is not None]
+    values = [row[name] for row in rows if row.get(name) not in (None, "")]
     numbers = (isinstance(value, int | float) or _SHARE.fullmatch(str(value)) for value in values)
-    return bool(values) and all(numbers)
+    return bool(values) and name != "setting" and all(numbers)
 
 
 def filled(rows: Rows) -> list[dict[str, Any]]:

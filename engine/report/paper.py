@@ -1,4 +1,4 @@
-"""Figures that the JRDB-AVR paper reports. Tables show these figures for reference, in rows with the label "paper".
+"""Figures that the JRDB-AVR paper reports, and the names of its models.
 
 The figures describe the paper's own 2,098 questions about JRDB, not the questions of a store. The paper has five groups
 of questions, and this project has seven families: `GROUPS` says which families form a group.
@@ -50,6 +50,30 @@ class Published(NamedTuple):
     hallucination: float
 
 
+ALIASES: Final[dict[str, tuple[str, ...]]] = {
+    "Gemma-4 E2B": ("gemma-4-e2b-it", "gemma-4-e2b", "gemma4:e2b"),
+    "Gemma-4 E4B": ("gemma-4-e4b-it", "gemma-4-e4b", "gemma4:e4b"),
+    "Qwen3-VL 4B": ("qwen3-vl-4b-instruct", "qwen3-vl-4b", "qwen3-vl:4b"),
+    "Qwen3-VL 8B": ("qwen3-vl-8b-instruct", "qwen3-vl-8b", "qwen3-vl:8b"),
+    "Qwen3.5 4B": ("qwen3.5-4b", "qwen3.5:4b"),
+    "Qwen3.5 9B": ("qwen3.5-9b", "qwen3.5:9b"),
+}
+"""Names of each of the paper's models at servers and hubs, in lower case and without the name of an organisation."""
+
+
+def backbone_of(model: str) -> str:
+    """Return the paper's name of a model, or "" for a model that the paper lacks.
+
+    Args:
+        model: The id of the model, such as Qwen/Qwen3.5-9B.
+
+    Returns:
+        A key of `ALIASES`, or "".
+    """
+    name = model.rpartition("/")[2].lower()
+    return next((backbone for backbone, names in ALIASES.items() if name in (backbone.lower(), *names)), "")
+
+
 _LINES: Final = files(__package__).joinpath("paper.csv").read_text("utf-8").splitlines()[1:]
 
 _ROWS: Final = [Published(method, model, *map(float, figures)) for method, model, *figures in csv.reader(_LINES)]
@@ -59,3 +83,16 @@ MAIN: Final = [row for row in _ROWS if row.method == "agent" or not row.method.s
 
 ABLATION: Final = {row.method: row for row in _ROWS if row.method.startswith("agent")}
 """Rows of the paper's ablation, by the name of this project's corresponding method."""
+
+BY_GROUP: Final = {
+    group: Published(
+        "agent",
+        "Qwen3.5 9B",
+        round(100 * counts.answer / counts.n, 2),
+        round(100 * counts.evidence / counts.n, 2),
+        round(100 * counts.combined / counts.n, 2),
+        round(100 * (counts.answer - counts.combined) / counts.answer, 2),
+    )
+    for group, counts in GROUPS.items()
+}
+"""Figures of the paper's agent, by group of questions."""

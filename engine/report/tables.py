@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS, Interval, compare, intervals, mean_ratio, numbered_sums
-from jrdb_avr.engine.report.paper import ABLATION, GROUPS, MAIN, Published
 from jrdb_avr.engine.report.scored_runs import (
     DIMENSIONS,
     SCORES,
@@ -22,10 +21,11 @@ from jrdb_avr.engine.report.scored_runs import (
     distinguishing_settings,
     percent_of,
 )
-from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.arrays import Bools, Ints
 
 Line = dict[str, Any]
 
+SHARES: Final = (*SCORES, "hallucination")
 INTERVALS: Final = "95 %"
 TOO_FEW: Final = "too few sequences for an interval"
 
@@ -57,36 +57,42 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
 
 
 def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Line:
-    # The columns are: 1 for each question, the three scores, and 1 if the answer is right but the evidence is not.
-    base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
+    row = run_names(run) | {"setting": setting} | score_columns(index, run)
+    row |= {"invalid": percent_of(int(run.invalid.sum()), run.n), "errors": percent_of(run.errors, run.n)}
+    base = np.concatenate([np.ones((run.n, 1)), run.scores], axis=1)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
-    sums = [numbered_sums(cluster, len(sequences), base)]
-    statistics = {name: mean_ratio((index_of_score, 0)) for index_of_score, name in enumerate(SCORES, 1)}
-    statistics["hallucination"] = mean_ratio((4, 1))
-    column = base.shape[1]
     for title, dimension in (("families", "family"), ("groups", "group")):
         labels = index.labels[dimension]
         count = len(labels.names)
-        parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, base[:, :4])
-        sums.append(parts.reshape(len(sequences), 4 * count))
-        for index_of_score, name in enumerate(SCORES, 1):
-            ratios = [(column + 4 * k + index_of_score, column + 4 * k) for k in range(count)]
-            statistics[f"{name}_macro_{title}"] = mean_ratio(*ratios)
-        column += 4 * count
-    shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
-    bounds = {name: with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
-    row = run_names(run) | {
-        "setting": setting,
-        "n": run.n,
-        "sequences": len(sequences),
-        "interval": interval_label(len(sequences)),
-    }
-    for name in (*SCORES, "hallucination"):
-        row |= bounds.pop(name)
-    row |= {"invalid": percent_of(int(run.invalid.sum()), run.n), "errors": percent_of(run.errors, run.n)}
-    for macro in bounds.values():
-        row |= macro
+        sums = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, base)
+        means = [mean_ratio(*((4 * k + score, 4 * k) for k in range(count))) for score in (1, 2, 3)]
+        shares = intervals(sums.reshape(len(sequences), 4 * count), means)
+        for name, share in zip(SCORES, shares, strict=True):
+            row |= with_bounds(f"{name}_macro_{title}", share)
     return row | {"iou": iou}
+
+
+def score_columns(index: QuestionIndex, run: ScoredRun, among: Bools | slice = slice(None)) -> Line:
+    """Compute the scores of a run, or of some of its questions, with 95 % intervals.
+
+    Args:
+        index: The questions of the store, with their labels.
+        run: The scored run.
+        among: Mask or slice of the run's questions. By default, all of them.
+
+    Returns:
+        The columns n, sequences and interval, then each score and hallucination with its bounds, in percent.
+    """
+    rows, scores = run.rows[among], run.scores[among]
+    # The columns are: 1 for each question, the three scores, and 1 if the answer is right but the evidence is not.
+    base = np.concatenate([np.ones((len(rows), 1)), scores, scores[:, :1] - scores[:, 2:]], axis=1)
+    sequences, cluster = np.unique(index.labels["sequence"].numbers[rows], return_inverse=True)
+    ratios = {name: (position, 0) for position, name in enumerate(SCORES, 1)} | {"hallucination": (4, 1)}
+    shares = intervals(numbered_sums(cluster, len(sequences), base), [mean_ratio(ratio) for ratio in ratios.values()])
+    row: Line = {"n": len(rows), "sequences": len(sequences), "interval": interval_label(len(sequences))}
+    for name, share in zip(ratios, shares, strict=True):
+        row |= with_bounds(name, share)
+    return row
 
 
 def interval_label(sequences: int) -> str:
@@ -129,16 +135,6 @@ def with_bounds(name: str, interval: Interval) -> Line:
     }
 
 
-def published_rows() -> list[Line]:
-    """Return the rows of the paper's main table, with the columns of `main_rows` that the paper reports."""
-    return [_published(row) for row in MAIN]
-
-
-def _published(row: Published) -> Line:
-    n = sum(counts.n for counts in GROUPS.values())
-    return {"run": "", "method": row.method, "model": row.model, "label": "paper", "n": n} | row._asdict()
-
-
 # -- breakdowns -------------------------------------------------------------------------------------------------------
 
 
@@ -164,16 +160,6 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         for value, name in enumerate(labels.names)
         for run, sums_of_run in zip(runs, sums, strict=True)
         if sums_of_run[value][0]
-    ]
-
-
-def published_groups() -> list[Line]:
-    """Return one row per group of the paper: the scores of the paper's agent, in the columns of `breakdown_rows`."""
-    return [
-        {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
-        | {name: percent_of(getattr(counts, name), counts.n) for name in SCORES}
-        | {"hallucination": percent_of(counts.answer - counts.combined, counts.answer)}
-        for group, counts in GROUPS.items()
     ]
 
 
@@ -210,12 +196,11 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 # -- the ablation -----------------------------------------------------------------------------------------------------
 
 
-def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Line]:
+def ablation_rows(runs: Sequence[ScoredRun]) -> list[Line]:
     """Compute the table `ablation`: scores for each combination of active observation and world model (on or off).
 
     Args:
         runs: Scored runs. Runs of methods that are not in `CELLS` are ignored.
-        published: Whether to add the rows of the paper's ablation.
 
     Returns:
         One row per run. Rows are grouped by model and setting.
@@ -232,8 +217,6 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
     ]
     # Rows are grouped by model and setting. In a group, the passive cells come first.
     rows.sort(key=lambda row: (row["model"], row["setting"], methods.index(row["method"])))
-    if published:
-        rows += [cell | _published(ABLATION[method]) for method, cell in CELLS.items()]
     return rows
 
 
@@ -314,6 +297,14 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
 RESULTS: Final = ("evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
 
-TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
+PAPER_TABLES: Final = {
+    "paper_main": "Table 3 of the paper, the main table",
+    "paper_ablation": "Table 4 of the paper, active observation and world model",
+    "paper_generators": "Table 5 of the paper, questions per generator",
+    "paper_groups": "Table 6 of the paper, its agent by group of questions",
+}
+"""Titles of the tables that have the paper's figures beside the figures of the store, by name."""
+
+TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS, *PAPER_TABLES)
 """Names of all tables. `main` has the scores with intervals. `twins` is empty if the questions have no time twins. A
 dimension's table has the scores per value."""

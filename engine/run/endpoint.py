@@ -64,10 +64,11 @@ class Endpoint:
                 the model was calibrated with other options.
         """
         convention = convention_of(model)
-        self.convention = convention if calibration is None else calibration.convention(convention)
+        convention = convention if calibration is None else calibration.convention(convention)
         options = declared(model, options)
         self.repeats = USUAL_REPEATS if calibration is None else calibration.repeats
-        self.client = Client(base_url, model, options, convention=self.convention, cache=cache)
+        self.client = Client(base_url, model, options, convention=convention, cache=cache)
+        self.convention = self.client.convention
         checks = preflight(self.client)
         if strict:
             require(checks, method)

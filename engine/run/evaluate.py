@@ -98,11 +98,16 @@ class RunResult(Displayed):
             status: "error" or "invalid".
 
         Returns:
-            The reason, and the number of questions with this reason. ("", 0) if no question has the status.
+            The reason, with the beginning of an unreadable reply, and the number of questions with this reason. ("", 0)
+            if no question has the status.
         """
         ended = self.predictions.filter(pc.equal(self.predictions["status"], status))
         reasons = Counter(ended["reason"].to_pylist()).most_common(1)
-        return reasons[0] if reasons else ("", 0)
+        if not reasons:
+            return "", 0
+        reason, count = reasons[0]
+        raw = ended["raw"][ended["reason"].to_pylist().index(reason)].as_py() if "JSON" in reason else ""
+        return f"{reason}; a reply begins: {raw[:40]!a}" if raw else reason, count
 
     def _summary(self) -> str:
         row = self.row()

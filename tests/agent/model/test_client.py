@@ -92,7 +92,6 @@ def test_pictures_travel_inline():
         Body(b"<html>bad gateway</html>", "text/html"),
         Body(b'{"choices": []}'),
         Body(b'{"choices": [{"message": {"content": 5}}]}'),
-        Body(b"data: {}", "text/event-stream"),
         Body(b""),
         Body(b"[" * 100_000),
     ],
@@ -290,6 +289,17 @@ def test_a_reply_without_end_is_not_read_to_its_end():
     assert len(server.requests) == 2
 
 
+def test_nothing_of_a_reply_over_a_megabyte_is_read_further_or_stored(tmp_path):
+    with FakeServer(sequence_of("x" * 1_000_000, "x" * 1_100_000)) as server:
+        made, _ = client(server, cache=tmp_path / CALLS)
+        assert len(made.complete(ASK).content) == 1_000_000
+        before = (tmp_path / CALLS).read_bytes()
+        with pytest.raises(EndpointError, match="the reply is longer than 1 MB"):
+            made.complete([Message("user", ("more",))])
+        assert (tmp_path / CALLS).read_bytes() == before
+    assert len(server.requests) == 2
+
+
 @pytest.mark.parametrize("late", [Drip(0.05, "late"), Slow(1.5, "late")])
 def test_a_reply_that_comes_late_is_given_up_and_requested_again(late):
     """Each byte of a dripping reply comes in time; were all of them waited for, the reply would be another."""
@@ -339,7 +349,7 @@ def test_a_reply_that_never_begins_is_given_up(said):
         (422, "no", "no$"),
         (400, "Your credit balance is too low", "no credit"),
         (400, "Unrecognized request argument supplied: chat_template_kwargs", "--thinking template"),
-        (400, "This model only supports stream mode", "must come whole"),
+        (400, "This model only supports stream mode", "reply without a stream"),
     ],
 )
 def test_a_refusal_is_not_tried_again_and_says_what_to_do(code, reason, remedy):
@@ -362,6 +372,13 @@ def test_a_refusal_is_not_tried_again_and_says_what_to_do(code, reason, remedy):
 def test_a_filtered_prompt_is_a_refusal_of_the_question(code, error):
     body = Body(json.dumps({"error": error}).encode(), code=code)
     with FakeServer(sequence_of(body)) as server, pytest.raises(FilteredError, match=r"^refused: content filter$"):
+        client(server)[0].complete(ASK)
+    assert len(server.requests) == 1
+
+
+def test_a_stream_is_one_line_that_says_what_to_do():
+    body = Body(b'data: {"choices": []}\n\ndata: [DONE]\n\n', "text/event-stream; charset=utf-8")
+    with FakeServer(sequence_of(body)) as server, pytest.raises(EndpointError, match=r"streams .* without a stream$"):
         client(server)[0].complete(ASK)
     assert len(server.requests) == 1
 
@@ -765,6 +782,31 @@ def test_a_server_that_counts_nonsense_is_still_heard(usage):
         made, _ = client(server)
         assert made.complete(ASK) == Reply("hi", "", "stop", "fake-1", 1, 1, estimated=True)
         assert made.estimates == 1
+
+
+@pytest.mark.parametrize(
+    "note",
+    [
+        "NaN",
+        "-Infinity",
+        "1e999",
+        r'"\ud83d"',
+        r'"\ude00 \ud83d\ude00"',
+        r'"\\ud83d \uD83D"',
+        '"\xff"',
+        r'{"\ud83d": [NaN]}',
+    ],
+)
+def test_what_no_json_holds_is_no_fault_of_the_reply(note):
+    """Neither in a field that is not read, nor in the reasoning."""
+    body = json.dumps({**completion(OBJECT), "note": "NOTE"}).replace('"NOTE"', note).encode("latin-1")
+    assert read_completion(body).content == OBJECT
+    thought = json.dumps(completion(OBJECT, reasoning="NOTE")).replace('"NOTE"', note).encode("latin-1")
+    reply = read_completion(thought)
+    assert reply.content == OBJECT
+    assert reply.reasoning.encode().decode() == reply.reasoning, "files can hold it"
+    assert ("\U0001f600" in reply.reasoning) == ("\\ud83d\\ude00" in note)
+    assert (r"\ud83d" in reply.reasoning) == (r"\\ud83d" in note), "an escaped backslash begins no surrogate"
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import CONTRACT, convention_of
 from jrdb_avr.agent.model.decode import read_answer, read_evidence, reply_object, write_box
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.reply import Reply, answer_text, thinking_text
 from jrdb_avr.agent.model.schemas import answer_schema, frame_schema
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
-from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.errors import DecodeError, InputError
 from jrdb_avr.schema.panorama import Box
 
 OBJECT = '{"action": "observe", "frame_id": "000150", "angle_deg": 210}'
@@ -43,6 +44,14 @@ def reply(text, finish_reason="stop", reasoning=""):
         f"<think>a<think>b</think>c</think>{OBJECT}",
         f"left </think> or right</think>{OBJECT}",
         f"{OBJECT}\n<think>that was it</think>",
+        f"\n<|begin_of_box|>{OBJECT}<|end_of_box|>",
+        f"◁think▷look◁/think▷{OBJECT}",
+        f"[THINK]look[/THINK]```json\n{OBJECT}\n```",
+        f"<|channel|>analysis<|message|>hm<|end|><|start|>assistant<|channel|>final<|message|>{OBJECT}",
+        f"<|channel|>analysis<|message|>hm<|end|><|start|>assistant<|channel|>final<|message|>{OBJECT}<|return|>",
+        f"<think>hm</think><answer>{OBJECT}</answer>",
+        f"{OBJECT}<|im_end|>",
+        f"{OBJECT}</s>",
     ],
 )
 def test_one_object_is_read(text):
@@ -57,6 +66,18 @@ def test_an_unknown_finish_reason_leaves_a_readable_reply_valid(reason):
         reply_object(reply(OBJECT[:-1], reason))
     with pytest.raises(DecodeError, match=r"is empty \(finish_reason "):
         reply_object(reply("", reason))
+
+
+def test_delimiters_of_the_options():
+    text = f"<unused94>hm<unused95>@@{OBJECT}"
+    with pytest.raises(DecodeError):
+        reply_object(reply(text))
+    declared = EndpointOptions(delimiters=("<unused94>...<unused95>", "@@")).delimited(CONTRACT)
+    assert reply_object(reply(text), declared) == json.loads(OBJECT)
+    assert thinking_text(reply(text), declared) == "hm"
+    for wrong in ("", "...x"):
+        with pytest.raises(InputError, match="--delimiter"):
+            EndpointOptions(delimiters=(wrong,))
 
 
 def test_a_delimiter_in_a_text_is_text():
@@ -97,6 +118,9 @@ def test_a_reply_filed_under_reasoning():
         f"Sure! <think>left</think>{OBJECT}",
         f"{OBJECT}<think>or else",
         f"\ufeff{OBJECT}",
+        f"<|channel|>analysis<|message|>{OBJECT}<|end|>",
+        f"<|begin_of_box|>{OBJECT}<|end_of_box|><|begin_of_box|>{OBJECT}<|end_of_box|>",
+        f"<unused94>{OBJECT}",
         f"```json {OBJECT}```",
         f"~~~json\n{OBJECT}\n~~~",
         "[" * 100_000,

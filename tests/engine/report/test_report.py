@@ -14,19 +14,20 @@ from jrdb_avr.engine.console import csv_text
 from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.engine.report.directions import direction_lines
-from jrdb_avr.engine.report.formats import cell, latex, markdown, with_intervals
-from jrdb_avr.engine.report.paper import ABLATION, GROUPS
+from jrdb_avr.engine.report.formats import cell, for_paper, latex, markdown, paper_caption, with_intervals
+from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
 from jrdb_avr.engine.report.scored_runs import ScoredRun
+from jrdb_avr.engine.report.side_by_side import paper_rows
 from jrdb_avr.engine.report.tables import (
     ablation_rows,
     breakdown_rows,
     main_rows,
     pair_rows,
-    published_groups,
     ranked,
 )
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import RUNS
 
 
@@ -69,11 +70,10 @@ def test_the_papers_counts_give_the_papers_table(paper):
 def test_a_breakdown_by_group_is_the_papers(paper):
     benchmark, run = paper
     ours = {row["group"]: row for row in breakdown_rows(benchmark.index, [run], "group")}
-    theirs = {row["group"]: row for row in published_groups()}
-    assert ours.keys() == theirs.keys()
-    for group, row in theirs.items():
-        for name in ("n", "answer", "evidence", "combined", "hallucination"):
-            assert ours[group][name] == row[name], group
+    assert ours.keys() == BY_GROUP.keys()
+    for group, row in BY_GROUP.items():
+        for name in ("answer", "evidence", "combined", "hallucination"):
+            assert ours[group][name] == getattr(row, name), group
     assert sum(row["n"] for row in breakdown_rows(benchmark.index, [run], "family")) == 2098
 
 
@@ -89,16 +89,63 @@ def test_a_fork_join_counts_as_two_hops(paper):
 
 def test_the_ablation_is_active_by_world(paper):
     benchmark, run = paper
-    rows = ablation_rows([run], published=True)
-    assert [(row["active"], row["world_model"], row["label"]) for row in rows] == [
-        ("on", "on", ""),
-        ("off", "off", "paper"),
-        ("off", "on", "paper"),
-        ("on", "off", "paper"),
-        ("on", "on", "paper"),
-    ]
-    assert rows[0]["combined"] == rows[-1]["combined"]
+    rows = ablation_rows([run])
+    assert [(row["active"], row["world_model"], row["combined"]) for row in rows] == [("on", "on", 14.54)]
     assert ablation_rows([benchmark.run([(1, BOX, 7)] * 2098)]) == []
+
+
+# -- beside the paper -------------------------------------------------------------------------------------------------
+
+
+def beside(name, benchmark, runs, backbone=""):
+    """The rows of a table of the paper that have a run."""
+    return [row for row in paper_rows(name, benchmark.index, runs, backbone) if row["run"]]
+
+
+def test_the_papers_own_run_differs_nowhere_from_the_paper(paper):
+    benchmark, run = paper
+    for name, count, empty in (("paper_main", 1, 24), ("paper_ablation", 1, 3), ("paper_groups", 5, 0)):
+        rows = beside(name, benchmark, [run])
+        assert (len(rows), len(paper_rows(name, benchmark.index, [run])) - len(rows)) == (count, empty)
+        for row in rows:
+            for kind in ("answer", "evidence", "combined", "hallucination"):
+                assert row[kind] == row[f"paper_{kind}"] and row[f"{kind}_difference"] == 0, (name, kind)
+    counts = paper_rows("paper_generators", benchmark.index, [run])
+    assert (counts[0]["generator"], counts[-1]) == (
+        "action_boundary",
+        {"generator": "all", "paper_n": 2098, "n": 2098, "n_difference": 0, "label": ""},
+    )
+
+
+def test_a_run_is_beside_the_paper_by_its_models_names_or_by_order():
+    benchmark = Benchmark([(name, f"s{name}", "long_range") for name in "ab"])
+    runs = {
+        model: benchmark.run([(1, BOX, 7), (2, BOX, 7)], model, "react", model)
+        for model in ("google/gemma-4-E4B-it", "Qwen/Qwen3-VL-8B-Instruct", "my-finetune", "Qwen/Qwen3.5-9B-AWQ")
+    }
+    real = beside("paper_main", benchmark, runs.values())
+    assert {(row["run"], row["model"]) for row in real} == {
+        ("google/gemma-4-E4B-it", "Gemma-4 E4B"),
+        ("Qwen/Qwen3-VL-8B-Instruct", "Qwen3-VL 8B"),
+    }
+    assert (real[0]["answer"], real[0]["answer_difference"], real[0]["n"]) == (50.0, 19.4, 2)
+    (row,) = beside("paper_main", benchmark, [runs["my-finetune"]], "Qwen3.5 4B")
+    assert (row["model"], row["run"], row["label"]) == ("Qwen3.5 4B", "my-finetune", "")
+    with pytest.raises(InputError, match="my-finetune: name the runs of one"):
+        paper_rows("paper_main", benchmark.index, runs.values(), "Qwen3.5 4B")
+    with pytest.raises(InputError, match="did you mean Qwen3"):
+        paper_rows("paper_main", benchmark.index, [], "Qwen3.5 9b")
+
+
+def test_a_synthetic_run_is_beside_the_paper_only_by_order_and_is_called_synthetic(paper):
+    benchmark, run = paper
+    made = ScoredRun(msgspec.structs.replace(run.manifest, synthetic=True), run.rows, run.table, 0, run.answers)
+    assert beside("paper_main", benchmark, [made]) == []
+    rows = paper_rows("paper_main", benchmark.index, [made], "Qwen3.5 9B")
+    texts, title = for_paper("paper_main", rows), paper_caption("paper_main", rows)
+    assert texts[-1]["answer"].endswith("] synthetic") and texts[-1]["n"] == "2098 synthetic" and "synthetic" in title
+    assert texts[0]["answer"] == texts[0]["n"] == "" and "synthetic" not in paper_caption("paper_main", rows[:-1])
+    assert "; the figures of this store are synthetic}" in latex(texts, title)
 
 
 def ablation_of(**combined):

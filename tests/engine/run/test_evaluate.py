@@ -310,6 +310,14 @@ def test_errors_are_rows_and_are_asked_again(store):
         assert "3 of 3 questions ended as invalid, 3 of them because: no looks are left" in resumed.stderr
 
 
+def test_the_beginning_of_an_unreadable_reply_is_said(store):
+    with FakeServer(sound(lambda request, n: f"<unused94>{n}")) as server:
+        arguments = ("--model", "fake", "--base-url", server.url, "--limit", "3")
+        result = evaluate(store, *arguments, "--method", "monolithic")
+    reason = "3 of them because: the reply is not one JSON object: Expecting value; a reply begins: '<unused94>"
+    assert reason in result.stderr
+
+
 @pytest.mark.parametrize(
     "gone",
     [Status(503, "loading model"), Status(429, "later"), Status(401, "the key has expired")],
