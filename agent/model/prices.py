@@ -84,11 +84,12 @@ def with_tokens(reply: Reply, messages: Sequence[Message], convention: Conventio
     return msgspec.structs.replace(reply, **counts, estimated=True)
 
 
-def read_price(path: Path, model: str) -> Price:
+def read_price(data: bytes, path: Path, model: str) -> Price:
     """Read the price of a model.
 
     Args:
-        path: A TOML file of prices.
+        data: The content of a TOML file of prices, in UTF-8.
+        path: The path of the file, for messages.
         model: The model id.
 
     Returns:
@@ -98,8 +99,8 @@ def read_price(path: Path, model: str) -> Price:
         InputError: If the file cannot be read or does not name the model's price.
     """
     try:
-        prices = msgspec.toml.decode(path.read_bytes(), type=dict[str, Any])
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
+        prices = msgspec.toml.decode(data, type=dict[str, Any])
+    except (UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
         raise InputError(f"cannot read the prices in {path}: {error}", file=str(path)) from None
     try:
         return msgspec.convert(prices.get(model), Price)

@@ -15,6 +15,7 @@ import click
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._options import FILE
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.schema.errors import InputError
 
 FILTERS: Final = ("families", "templates", "sequences")
@@ -90,7 +91,7 @@ class _Ids(click.ParamType[tuple[str, ...]]):
         if not re.fullmatch(r"[0-9a-f]{16}(,[0-9a-f]{16})*,?", value):
             try:
                 path = Path(value)
-                text = path.read_text(encoding="utf-8") if path.is_file() else value
+                text = to_utf8(read_input(path), path).decode() if path.exists() else value
             except (OSError, ValueError) as error:
                 raise InputError(f"--questions: cannot read {value[:80]}: {error}", file=value) from None
         ids = [part.strip() for part in re.split(r"[,\n]", text) if part.strip()]

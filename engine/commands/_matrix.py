@@ -30,6 +30,7 @@ import click
 
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.commands._declared import build
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.schema.errors import InputError, did_you_mean
 
 PAPER: Final = Path("paper")
@@ -56,8 +57,8 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
     """
     path = Path(str(files("jrdb_avr.engine.run") / "paper.toml")) if path == PAPER else path
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("run")
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        tables = tomllib.loads(to_utf8(read_input(path), path).decode()).get("run")
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"cannot read {path}: {error}", file=str(path)) from None
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise InputError(f"{path} holds no run: write [[run]] and below it method = and model =", file=str(path))

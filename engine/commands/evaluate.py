@@ -18,6 +18,7 @@ from jrdb_avr.engine.commands._options import FILE, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.manifest import is_public
 from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
 
@@ -166,7 +167,8 @@ def _evaluation(values: Mapping[str, Any], plan: bool) -> _Evaluation:
             raise click.UsageError(f"Missing option '--{name}'.")
     if model != NO_MODEL and not plan:
         check_address(model, values["base_url"])
-    price = None if values["price"] is None else read_price(values["price"], model)
+    path = values["price"]
+    price = None if path is None else read_price(to_utf8(read_input(path), path), path, model)
     filled = {**values, "price": price}
     options = EvaluateOptions(
         endpoint=build(EndpointOptions, filled),

@@ -14,6 +14,7 @@ import click
 from jrdb_avr.engine.commands._complete import complete_query
 from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
+from jrdb_avr.loaders.inputs import to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def _statement(language: Language, query: str) -> str:
         text = sys.stdin.buffer.read(_LONGEST + 1) if query == "-" else Path(query).read_bytes()
         if len(text) > _LONGEST:
             raise InputError(f"{query} is no statement: it is longer than {_LONGEST:,} bytes", file=query)
-        return text.decode("utf-8")
+        return to_utf8(text, Path(query)).decode()
     except (OSError, ValueError) as error:
         raise InputError(f"cannot read {query}: {getattr(error, 'strerror', None) or error}", file=query) from None
 

@@ -211,8 +211,8 @@ class QuestionEnv(gymnasium.Env):
 
 
 def _index(share: Any, count: int) -> int:
-    """Return the index in [0, count) that a number in [0, 1] represents."""
-    return round(float(share) * (count - 1))
+    """Return the index in [0, count) that a number in [0, 1] represents. Each index has an equal part of [0, 1]."""
+    return min(int(float(share) * count), count - 1)
 
 
 def _angle(share: Any) -> float:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.report.prediction_lines import read_regular
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.queries.statements import read_statement
@@ -50,7 +50,7 @@ def read_decisions(path: Path, store: Store) -> Decisions:
     Raises:
         InputError: If the file cannot be read, or is about other questions.
     """
-    data = read_regular(path, _MAX_BYTES)
+    data = to_utf8(read_input(path, _MAX_BYTES), path)
     try:
         content = msgspec.json.decode(data, type=Decisions)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

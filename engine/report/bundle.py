@@ -19,8 +19,9 @@ from typing import Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular, write_lines
+from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, write_lines
 from jrdb_avr.engine.report.run_scores import SCORED, Submission, predictions_path
+from jrdb_avr.loaders.inputs import read_input
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
@@ -98,8 +99,8 @@ def read_bundle(folder: str | Path, store: Store | None = None) -> Bundle:
         StoreError: If the store has no questions, or if its key is damaged.
     """
     folder = Path(folder)
-    data = {name: read_regular(folder / name, largest) for name, largest in _LARGEST.items()}
-    sums = read_regular(folder / _SUMS, 1 << 12).splitlines()
+    data = {name: read_input(folder / name, largest) for name, largest in _LARGEST.items()}
+    sums = read_input(folder / _SUMS, 1 << 12).splitlines()
     for name, content in data.items():
         if f"{_sha256(content)}  {name}".encode() not in sums:
             raise InputError(

@@ -12,8 +12,6 @@ the length of a line and each value have limits.
 
 from __future__ import annotations
 
-import os
-import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -155,29 +153,3 @@ def _row(line: PredictionLine, run_id: str) -> dict[str, Any]:
         row["evidence_frame"] = line.evidence.frame
         row |= {f"evidence_{side}": value for side, value in zip(_BOX, line.evidence.box, strict=True)}
     return row
-
-
-def read_regular(path: Path, largest: int) -> bytes:
-    """Read a file if it is a regular file. Links, pipes and folders are refused.
-
-    Args:
-        path: The file.
-        largest: Maximum size in bytes.
-
-    Returns:
-        The bytes of the file.
-
-    Raises:
-        InputError: If the file is missing, is larger than `largest`, or is not a regular file.
-    """
-    try:
-        # The open does not block, because otherwise the open of a pipe would wait for a writer.
-        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise InputError(f"{path} is not a regular file", file=str(path))
-            data = file.read(largest + 1)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}", file=str(path)) from None
-    if len(data) > largest:
-        raise InputError(f"{path} is larger than {largest >> 20} MB", file=str(path))
-    return data

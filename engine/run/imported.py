@@ -11,10 +11,11 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
+from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.run import has_manifest
 from jrdb_avr.engine.run.selection import matching
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
@@ -47,7 +48,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     """
     store, path = Store.of(store), Path(path)
     run_id = path.stem if run_id is None else run_id
-    data = read_regular(path, LARGEST_FILE)
+    data = to_utf8(read_input(path, LARGEST_FILE), path)
     settings = {"from": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     begun = _has_begun(store, run_id, settings)
     predictions = parse_lines(data, run_id, path, stored_ids(store))

@@ -273,17 +273,15 @@ def test_a_run_stops_at_its_cost_if_the_server_counts_no_tokens():
 
 def test_prices_come_from_a_file(tmp_path):
     path = tmp_path / "prices.toml"
-    path.write_text('["org/model-1.5"]\ninput = 2\noutput = 0.5\n[broken]\ninput = -1\noutput = true\n')
-    assert read_price(path, "org/model-1.5") == Price(2.0, 0.5)
-    assert read_price(path, "org/model-1.5").cost(1_000_000, 2_000_000) == 3.0
+    text = b'["org/model-1.5"]\ninput = 2\noutput = 0.5\n[broken]\ninput = -1\noutput = true\n'
+    assert read_price(text, path, "org/model-1.5") == Price(2.0, 0.5)
+    assert read_price(text, path, "org/model-1.5").cost(1_000_000, 2_000_000) == 3.0
     for model in ("broken", "other"):
         with pytest.raises(InputError, match="has no price of"):
-            read_price(path, model)
-    path.write_text("[")
-    with pytest.raises(InputError, match="cannot read the prices"):
-        read_price(path, "x")
-    with pytest.raises(InputError, match="cannot read the prices"):
-        read_price(tmp_path / "none", "x")
+            read_price(text, path, model)
+    for text in (b"[", b"\xff"):
+        with pytest.raises(InputError, match=r"cannot read the prices in .*prices.toml"):
+            read_price(text, path, "x")
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_statements_come_from_files_and_standard_input(sample_benchmark, here):
         check=True,
     )
     assert json.loads(piped.stdout)[0]["n"] > 0
-    (here / "bad.cypher").write_bytes(b"\xff\xfe")
+    (here / "bad.cypher").write_bytes(b"\xff\xfe\x00")
     (here / "long.sql").write_bytes(b"-" * 2_000_000)
     for language, name in (("sql", "none.sql"), ("cypher", "bad.cypher"), ("sql", "long.sql")):
         code, out, err = run(language, name, *store)
