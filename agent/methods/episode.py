@@ -82,7 +82,7 @@ class Episode:
         self.attempt = Attempt(task, chat, convention, prompts)
         self.question: Question = task.question
         self.frames: tuple[int, ...] = task.sequence.frames
-        self.budget = budget
+        self.budget, self._most = budget, most_moves(budget)
         self.answered = False
         self.turns: list[str] = []
         self.error = ""
@@ -133,7 +133,11 @@ class Episode:
         """The looks and moves that are left. Both are 0 after the final answer."""
         if self.answered:
             return Remaining(0, 0)
-        return Remaining(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
+        return Remaining(self.budget - self.attempt.looks, self._most - len(self.turns))
+
+    def force_answer(self) -> None:
+        """Make the next move the last, which can only be an answer."""
+        self.budget, self._most = self.attempt.looks, len(self.turns) + 1
 
     @property
     def over(self) -> bool:

@@ -11,7 +11,7 @@ import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG
 from jrdb_avr.agent.methods.episode import BUDGET, Episode, most_moves
@@ -32,6 +32,9 @@ from jrdb_avr.agent.model.prompts import PromptSet
 from jrdb_avr.agent.model.schemas import frame_schema
 from jrdb_avr.schema.errors import RefusedError
 from jrdb_avr.schema.method import Observation, Prediction, Task
+
+IDENTICAL: Final = 3
+"""Number of identical refusals in sequence after which a turn must answer. A model that repeats a move goes on so."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class ReAct:
             "budget": self.budget,
             "most_calls": most_moves(self.budget),
             "duplicate_deg": DUPLICATE_DEG,
+            "identical_refusals": IDENTICAL,
             "prompts": self.prompts,
             **history_settings(self.history),
             **shared_settings(self.convention),
@@ -85,6 +89,9 @@ class ReAct:
         system, schema = episode.rules("react_turns"), react_turn_schema(episode.frames, episode.answer_schema)
         looks: list[tuple[Observation, Picture]] = []
         while not episode.over:
+            last = episode.turns[-IDENTICAL:]
+            if len(last) == IDENTICAL and len(set(last)) == 1:
+                episode.force_answer()
             user = with_last_pictures([Message("user", _parts(episode, looks))], self.history)
             reply = episode.attempt.ask([Message("system", (system,)), *user], schema)
             # The next turn states the reason of the refusal.

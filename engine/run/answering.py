@@ -42,6 +42,12 @@ _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "plat
 """Folders of the standard library and of installed packages. Code in these folders is not a method's own."""
 
 
+HOPELESS: Final = 20
+"""Number of finished questions without a readable reply after which a run stops."""
+_UNREADABLE: Final = ("the reply ", "the model refused", "refused: ")
+"""Beginnings of the reasons of questions with an unreadable last reply (`decode.reply_object`)."""
+
+
 class Entries(Protocol):
     """A collection with one entry per finished question. Entries can be added. A journal is such a collection."""
 
@@ -139,6 +145,19 @@ def answer_one(
     return finished
 
 
+def _is_unreadable(entry: Finished) -> bool:
+    invalid = entry.prediction["status"] == "invalid"
+    return entry.failed or (invalid and entry.prediction["reason"].startswith(_UNREADABLE))
+
+
+def _hopeless(reason: str, raw: str) -> str:
+    """Return why a run stops: the last question has the given reason, and its last reply the given text."""
+    return (
+        f"no question so far has a readable reply ({reason}; the last begins: {raw[:40]!a}): check --model, "
+        "--response-format, --thinking, --max-tokens and --delimiter, or run again with --resume --keep-going"
+    )
+
+
 def _reason(error: BaseException) -> str:
     """Return an exception as one line of text: its message, and the line of the method's code that raised it.
 
@@ -183,6 +202,7 @@ def answer_all(
     journal: Entries,
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
+    patience: int | None = None,
 ) -> None:
     """Let a method answer each question that has no entry in the journal, and each question that ended in an error.
 
@@ -199,10 +219,12 @@ def answer_all(
         concurrency: Maximum number of questions that are in progress at the same time.
         advance: Called once at the start with the number of questions that need no answer, then with 1 after each
             finished question.
+        patience: Number of questions that may finish without one readable reply. None means all.
 
     Raises:
-        RunStoppedError: If no further question can be answered now, for example at the cost limit of the run. It is
-            raised after the questions in progress have ended.
+        RunStoppedError: If no further question can be answered now, for example at the cost limit of the run, or if
+            the first `patience` questions have no readable reply. It is raised after the questions in progress have
+            ended.
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
@@ -244,6 +266,9 @@ def answer_all(
             else:
                 journal.append(entry)
                 advance(1)
+                patience = patience - 1 if patience and _is_unreadable(entry) else None
+                if patience == 0:
+                    stopped.append(RunStoppedError(_hopeless(entry.prediction["reason"], entry.prediction["raw"])))
         if stopped:
             raise stopped[0]
     finally:

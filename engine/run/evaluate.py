@@ -24,7 +24,7 @@ import pyarrow.compute as pc
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.simulated.profiles import Errors, changed_errors, parse_errors, profile_of
 from jrdb_avr.agent.world.episode import WorldModel
-from jrdb_avr.engine.run.answering import answer_all
+from jrdb_avr.engine.run.answering import HOPELESS, answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
 from jrdb_avr.engine.run.journal import Finished, world_rows
@@ -175,12 +175,14 @@ def evaluate(
             if world is not None:
                 world.repeats = endpoint.repeats
         player = _make(method, endpoint, world, playing)
+        most = None if files.keep_going or endpoint is None else HOPELESS
         settings = {
             "method": player.settings(),
             **({} if endpoint is None else endpoint.settings),
             **({} if errors is None else {"simulated": changed_errors(errors)}),
             **({"opaque": key_fingerprint(store)} if playing.opaque else {}),
             **({} if files.epoch is None else {"epoch": files.epoch}),
+            "unreadable_questions": most,
         }
         ids = [question.question_id for question in chosen]
         manifest = run.start(player.name, model, ids, settings, simulated or bench.synthetic, selection)
@@ -191,7 +193,7 @@ def evaluate(
         advance = step_counter(progress, f"{_name(method)}, {model}", len(chosen))
         see = bench.observer
         try:
-            answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
+            answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance, most)
         except BaseException:
             if run.finished:
                 run.finish()

@@ -132,6 +132,9 @@ class RunOptions(Options):
     strict_preflight: bool = option(
         False, "Refuse the run if the server fails a check that the method needs. Default: only print a warning."
     )
+    keep_going: bool = option(
+        False, "Go on even if the first 20 finished questions have no readable reply. Default: stop the run then."
+    )
     epoch: int | None = None
 
 

@@ -231,6 +231,7 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
     # The results of the preflight may differ, because a resumed run may use another server.
     settings.pop("preflight", None)
+    settings.pop("unreadable_questions", None)
     return {
         "method": manifest.method,
         "model": manifest.model,

@@ -98,11 +98,13 @@ def test_of_older_pictures_a_short_history_sends_the_metadata_alone(world):
 
 
 def test_malformed_turns_cost_turns_and_no_more(world):
-    prediction, requests, _ = play(world, [look(150, 180), "I look left", look(150, 90), *["hm"] * 9, answer()])
-    assert len(requests) == 13
+    prediction, requests, _ = play(
+        world, [look(150, 180), "I look left", look(150, 90), *["hm"] * 2, look(150, 0), "hm", answer()]
+    )
+    assert len(requests) == 8
     assert "Your last turn was malformed, and cost a turn: the reply is not one JSON object" in texts(requests[2])
     assert "Your last turn was malformed" not in texts(requests[3])
-    assert "Turns left, this one included: 38" in texts(requests[12])
+    assert "Turns left, this one included: 43" in texts(requests[7])
     assert (prediction.status, prediction.answer, prediction.reason) == ("answered", Choice(2), "")
 
 
@@ -126,10 +128,20 @@ MALFORMED = {
 @pytest.mark.parametrize("name", sorted(MALFORMED))
 def test_malformed_turns(world, name):
     prediction, requests, _ = play(world, [MALFORMED[name]], budget=4)
-    assert (prediction.status, prediction.n_observations, len(requests)) == ("invalid", 0, 10)
+    assert (prediction.status, prediction.n_observations, len(requests)) == ("invalid", 0, 4)
+    assert "no looks are left, so this turn must answer" in texts(requests[3])
+    assert "Turns left, this one included: 1;" in texts(requests[3])
     assert prediction.reason and prediction.answer is None and prediction.evidence is None
     prediction, _, _ = play(world, [MALFORMED[name], look(150, 180), answer()])
     assert prediction.status == "answered"
+
+
+def test_after_three_identical_refusals_a_turn_must_answer(world):
+    same, other = look(151, 180), look(152, 180)
+    prediction, requests, _ = play(world, [look(150, 180), same, same, other, same, same, same, answer()])
+    assert (prediction.status, len(requests)) == ("answered", 8)
+    prediction, requests, _ = play(world, [look(150, 180), same, same, same, look(150, 90)])
+    assert (prediction.status, prediction.n_observations, len(requests)) == ("invalid", 1, 5)
 
 
 def test_a_duplicate_is_refused_told_and_counted(world):

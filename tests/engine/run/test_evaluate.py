@@ -1,5 +1,6 @@
 """Runs: the journal, resuming, what is opened, what is kept; over real sockets and in real processes."""
 
+import dataclasses
 import json
 import os
 import resource
@@ -304,7 +305,9 @@ def test_errors_are_rows_and_are_asked_again(store):
         assert [r["n_model_calls"] for r in table].count(0) == 2
         assert max(r["n_observations"] for r in table) > 0
         broken = False
-        resumed = evaluate(store, *options, "--resume")
+        kept = json.loads((store.run_path("react-fake") / "run.json").read_text())["settings"]
+        assert (kept["unreadable_questions"], kept["method"]["identical_refusals"]) == (20, 3)
+        resumed = evaluate(store, *options, "--resume", "--keep-going")
         (row,) = json.loads(resumed.stdout)
         assert (row["error"], row["invalid"]) == (0, 3)
         assert "3 of 3 questions ended as invalid, 3 of them because: no looks are left" in resumed.stderr
@@ -675,6 +678,37 @@ def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, beha
     }
     with opened(path) as journal:
         assert journal.finished == finished
+
+
+@pytest.mark.parametrize(
+    ("bad", "rest", "stops"),
+    [
+        (Prediction("invalid", reason="the reply is empty", raw="<x>"), None, True),
+        (Prediction("invalid", reason="answer must be a number"), None, False),
+        (Prediction("invalid", reason="the reply is empty"), Prediction("answered", Choice(1)), False),
+        (None, None, True),
+    ],
+)
+def test_a_run_without_a_readable_reply_stops(tmp_path, bad, rest, stops):
+    """The second question may have a readable reply. Without patience, no run stops."""
+    asked = [dataclasses.replace(QUESTIONS_ASKED[0], question_id=f"{n:016x}") for n in range(6)]
+
+    def answer(task):
+        # No question is answered before the journal has those before it, as with a server.
+        while len(journal.finished) < asked.index(task.question):
+            time.sleep(0.001)
+        return rest if rest is not None and task.question == asked[1] else bad
+
+    for patience in (3, None):
+        with opened(tmp_path / f"journal{patience}") as journal:
+            arguments = [Scripted(answer), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 1]
+            if stops and patience:
+                with pytest.raises(RunStoppedError, match=r"no question so far has a readable reply .*--keep-going"):
+                    answering.answer_all(*arguments, patience=patience)
+                assert 3 <= len(journal.finished) < 6
+            else:
+                answering.answer_all(*arguments, patience=patience)
+                assert len(journal.finished) == 6
 
 
 def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
