@@ -25,8 +25,8 @@ BUDGETS = {
     "engine/run": 1650,
     "engine/report": 1300,
     "engine/pages": 1200,
-    "engine/integrations": 680,
-    "engine/commands": 1430,
+    "engine/integrations": 760,
+    "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,
     "agent/methods": 530,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_700
+TOTAL = 26_750
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {
