@@ -20,7 +20,6 @@ from jrdb_avr.agent.model.messages import jpeg_picture
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import select_questions
-from jrdb_avr.queries.display import Displayed
 from jrdb_avr.queries.manifest import MANIFEST_NAME
 from jrdb_avr.queries.opaque import opaque_ids, opaque_names
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
@@ -31,7 +30,7 @@ from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 
 
-class Bench(Displayed):
+class Bench:
     """Questions of a store with their pictures, for methods, people and agents. Many threads may share a bench.
 
         bench = Bench("store")
@@ -116,9 +115,6 @@ class Bench(Displayed):
         image_root = find_images(store, images)
         chosen = select_questions(read_question_rows(store), QuestionSelection.of(questions, limit), image_root)
         return cls(store, chosen, image_root, opaque)
-
-    def _summary(self) -> str:
-        return f"{len(self.questions)} questions of {len(self.observed)} sequences"
 
     def question(self, question_id: str) -> Question:
         """Return the question with the given id. Raise InputError if the bench has no question with this id."""

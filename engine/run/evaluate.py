@@ -141,7 +141,7 @@ def evaluate(
         progress: Called at the start and after each finished question, with a title, the number of finished questions
             and the number of all questions.
         live_scores: Called from another thread with the scores so far, each time they change.
-        usage: Called after each finished question with a text: the tokens of the run so far, their cost if the price is
+        usage: Called after each finished question with a text: the tokens since the call, their cost if the price is
             known, and the number of repeated requests.
 
     Returns:
@@ -189,15 +189,10 @@ def evaluate(
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         if usage is not None and endpoint is not None:
-            run.listeners.append(_usage_listener(run, endpoint, usage))
+            run.listeners.append(_usage_listener(endpoint, usage))
         advance = step_counter(progress, f"{_name(method)}, {model}", len(chosen))
         see = bench.observer
-        try:
-            answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance, most)
-        except BaseException:
-            if run.finished:
-                run.finish()
-            raise
+        answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance, most)
         if world is not None:
             # The counts are written before the tables, because a run with all its predictions counts as complete.
             add_world_counts(store, run_id, world.graph.counts | {"cpu_ms": round(1000 * sum(world.graph.seconds))})
@@ -208,8 +203,8 @@ def evaluate(
     return RunResult(run_id, predictions, manifest.synthetic, options.endpoint.price)
 
 
-def _usage_listener(run: Run, endpoint: Endpoint, usage: Callable[[str], None]) -> Callable[[Finished], None]:
-    """Return a listener of the run that reports the tokens, the cost and the repeated requests so far."""
+def _usage_listener(endpoint: Endpoint, usage: Callable[[str], None]) -> Callable[[Finished], None]:
+    """Return a listener of a run that reports its tokens, cost and repeated requests since the command began."""
     price, sums = endpoint.client.options.price, Counter[str]()
 
     def count(entry: Finished) -> None:
@@ -217,8 +212,6 @@ def _usage_listener(run: Run, endpoint: Endpoint, usage: Callable[[str], None]) 
         cost = "" if price is None else f", {price.cost(*(sums[name] for name in _TOKENS)):.4g} dollars"
         usage(f"{sums.total():,} tokens{cost}, {endpoint.client.retries} retries")
 
-    for entry in run.finished.values():
-        count(entry)
     return count
 
 

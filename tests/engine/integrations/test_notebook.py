@@ -54,7 +54,7 @@ def test_a_notebook_shows_a_question_and_the_people_of_rows(small_demo, displaye
 def test_benches_and_observers_take_a_store_and_can_be_pickled(small_demo):
     path = small_demo.folder / "store"
     bench, observer = (pickle.loads(pickle.dumps(kind(path))) for kind in (jrdb_avr.Bench, jrdb_avr.Observer))
-    assert repr(bench) == f"<Bench: {len(bench.questions)} questions of 1 sequences>" and len(repr(observer)) < 300
+    assert len(repr(bench)) < 100 and len(repr(observer)) < 300
     seen = observer(SEQUENCE, 150, 180.0)
     assert (seen.image == bench.observer(SEQUENCE, 150, 180.0).image).all()
     shown = decoded(seen._repr_png_())
