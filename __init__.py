@@ -24,6 +24,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+if sys.version_info < (3, 11):  # noqa: UP036
+    # pip refuses older versions, but a copy of the source would end with a traceback.
+    sys.exit(f"jrdb-avr needs Python 3.11 or newer, and this is Python {sys.version.split()[0]}: use a newer one")
 try:
     import fcntl  # noqa: F401
 except ImportError:

@@ -24,6 +24,7 @@ COMMANDS: Final[dict[str, str]] = {
     "sample": "Write synthetic data in the layout of JRDB.",
     "load": "Load a copy of JRDB into a store.",
     "generate": "Find and prove the questions of a store.",
+    "import-questions": "Import questions of another program.",
     "rules": "List the rules of the benchmark.",
     "validate": "Check the questions, and derive their answers again.",
     "stats": "Count questions, and score guessers that see no image.",
@@ -76,7 +77,9 @@ class LazyGroup(NamingGroup):
         """Import a command and return it. Return None if the name is unknown."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
+        module = importlib.import_module(
+            f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name.replace('-', '_'))}"
+        )
         command: click.Command = getattr(module, cmd_name, None) or module.command
         # Click joins the lines of a paragraph that does not begin with a backspace. Examples must keep their lines.
         command.help = re.sub(r"\n\n(?=Examples?:\n|  )", "\n\n\b\n", inspect.cleandoc(command.help or ""))

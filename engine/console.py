@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import re
 import shutil
 import sys
 import threading
@@ -24,8 +25,11 @@ from jrdb_avr.engine import text_table
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.errors import AvrWarning
 
-_FORMULA: Final = ("=", "+", "-", "@", "\t")
-"""Characters that begin a formula in a spreadsheet. The carriage return is not listed, because `clean` removes it."""
+_FORMULA: Final = re.compile(r"(^[ \n]*|[;\t\n] *)(?=[=+\-@\t\uff1d\uff0b\uff0d\uff20])")
+"""Position before a formula of a spreadsheet, which may also split texts at semicolons and begin with wide characters.
+
+The carriage return is not listed, because `clean` removes it.
+"""
 
 _WIDTH: Final = 100
 """Characters per line if stdout is not a terminal and `COLUMNS` is not set."""
@@ -69,11 +73,8 @@ def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> 
 
 def _in_csv(value: object) -> object:
     if isinstance(value, list | dict):
-        return msgspec.json.encode(value, enc_hook=str).decode()
-    if not isinstance(value, str):
-        return value
-    text = clean(value)
-    return f"'{text}" if text.lstrip(" \n").startswith(_FORMULA) else text
+        value = msgspec.json.encode(value, enc_hook=str).decode()
+    return _FORMULA.sub(r"\1'", clean(value)) if isinstance(value, str) else value
 
 
 def print_data(rows: Iterable[Mapping[str, Any]], form: RowFormat, columns: Sequence[str] = ()) -> None:

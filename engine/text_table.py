@@ -18,6 +18,11 @@ _Cells = Sequence[Mapping[str, str]]
 
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
+_HIDDEN: Final = re.compile(
+    r"[\xad\u034f\u061c\u180e\u200b-\u200f\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]"
+)
+"""Characters that reorder text or have no width, so that a text may look like another text."""
+
 _LONG: Final = re.compile(r"\S{41,}")
 
 _LONGEST: Final = 20_000
@@ -34,7 +39,7 @@ _ENGINE_FIELDS: Final = ("_ID", "_SRC", "_DST", "_LABEL")
 
 
 def clean(value: object) -> str:
-    """Return a value as text without control characters.
+    """Return a value as text without control characters. Hidden characters are replaced by their codes.
 
     Args:
         value: Any value. None becomes an empty text.
@@ -42,7 +47,8 @@ def clean(value: object) -> str:
     Returns:
         The text. A terminal can print this text safely: the text cannot move the cursor or change the colours.
     """
-    return _CONTROL.sub("", "" if value is None else str(value))
+    text = _CONTROL.sub("", "" if value is None else str(value))
+    return _HIDDEN.sub(lambda match: f"[U+{ord(match[0]):04X}]", text)
 
 
 def cell_text(value: object) -> str:

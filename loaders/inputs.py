@@ -34,8 +34,7 @@ def read_input(path: Path, largest: int = 1 << 24) -> bytes:
     try:
         # The open does not block, because otherwise the open of a pipe would wait for a writer.
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
-            kind = os.fstat(file.fileno()).st_mode
-            if not (stat.S_ISREG(kind) or stat.S_ISFIFO(kind)):
+            if stat.S_IFMT(os.fstat(file.fileno()).st_mode) not in (stat.S_IFREG, stat.S_IFIFO):
                 raise InputError(f"{path} is neither a file nor a pipe", file=str(path))
             os.set_blocking(file.fileno(), True)
             data = file.read(largest + 1)

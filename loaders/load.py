@@ -54,9 +54,6 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 STAGING: Final = ".loading"
 """Folder inside the store that holds the new files of a load until the load moves them."""
 
-_MIN_COMMON: Final = 16
-"""Minimum number of common boxes for a note about two sequences."""
-
 
 @dataclass(frozen=True)
 class Shard:
@@ -387,9 +384,9 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
     reports = [result.report for _, result in sorted(results.items())]
     notes = list(root.notes)
     for (name, first), (other, second) in combinations(sorted(results.items()), 2):
-        # Unrelated recordings share at most a few boxes.
+        # Unrelated recordings share at most a few boxes. Recordings with fewer than 16 boxes are not compared.
         common, fewer = len(first.sketch & second.sketch), min(len(first.sketch), len(second.sketch))
-        if common >= max(_MIN_COMMON, fewer / 4):
+        if common >= max(16, fewer / 4):
             notes.append(f"{name} and {other} have the same boxes: if they are one recording, delete the files of one")
     if root.problems or notes:
         reports.append(SequenceReport("", list(root.problems), warnings=notes))

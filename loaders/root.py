@@ -113,6 +113,9 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
                     files.setdefault(sequence, {}).setdefault(layer, str(file))
     if not files and not search.problems:
         folders = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
+        path = root.resolve()
+        if any(fnmatch.fnmatch(path.name, name) for names in LABEL_DIRS.values() for name in names):
+            raise InputError(f"{root} is the folder of one layer: give {path.parents[path.parent.name == 'labels']}")
         raise InputError(f"{root} holds nothing to load: no .json files in {folders}, with or without labels/")
     images_in = next((name for name in IMAGE_DIRS if search.is_folder(root / name)), None)
     sequences = []

@@ -17,6 +17,9 @@ PROFILE_KEY: Final = "profile"
 DISJOINT_KEY: Final = "disjoint_from"
 """Metadata key of a training set. Its value is the generation id of the held-out questions to avoid, "" for none."""
 
+IMPORTED_KEY: Final = "imported"
+"""Metadata key of questions that another program wrote. Its value is the names of the imported files."""
+
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Result of one proof of a question (docs/definitions.md, "Proofs").

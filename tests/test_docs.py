@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import os
 import re
 import shlex
@@ -15,11 +16,18 @@ import cv2
 import processes
 import pytest
 from environment import DOCS, ROOT
+from fake_server import BACKBONES
 
+from jrdb_avr.agent.simulated.profiles import PERFECT
+from jrdb_avr.agent.simulated.server import simulated_server
+from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.engine.local_server import LocalServer, Request
+from jrdb_avr.engine.run.methods import METHODS
+from jrdb_avr.queries.store import Store
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TOUR = (DOCS / "tour.md").read_text(encoding="utf-8")
+REPRODUCE = (DOCS / "reproduce.md").read_text(encoding="utf-8")
 GRAPH = (DOCS / "graph.md").read_text(encoding="utf-8")
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md")])
 
@@ -41,14 +49,24 @@ def steps(text):
     return found
 
 
-def kept(command, lines):
-    """Return the lines that must be equal, without spaces and table rules.
+CHANGING = r"http://127\.0\.0\.1:\d+/\S*|Done in \d+ s|seconds_per_question .*"
+"""What a command prints differently each time."""
 
-    The output of a run depends on clocks and the JPEG decoder, so only its lines without a number count.
-    """
-    plain = [re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines]
-    of_a_run = re.search(r" (demo|evaluate|diff|view|score|report|trace|scores_by_family|world_runs) ", command)
-    return [line for line in plain if line and not (of_a_run and re.search(r"\d", line))]
+
+def kept(lines):
+    """Return the lines that must be equal, without spaces, table rules and what changes each time."""
+    plain = [re.sub(r"[\s─-╿]+", " ", re.sub(CHANGING, "", line)).strip() for line in lines]
+    return [line for line in plain if line]
+
+
+def compare(page, before, shown, output):
+    """Compare lines of a page with what a command printed. With $REWRITE_DOCS, write these into the page instead."""
+    if kept(shown) != kept(output):
+        assert "REWRITE_DOCS" in os.environ, f"{page.name} is stale: run tests/figures.sh\n{before}\n" + "\n".join(
+            output
+        )
+        text = page.read_text("utf-8")
+        page.write_text(text.replace("\n".join([before, *shown]), "\n".join([before, *output]), 1), "utf-8")
 
 
 def typed(command):
@@ -108,7 +126,8 @@ def test_the_tour_runs_as_written(tmp_path, monkeypatch, small_demo):
             # A process costs a second: one command is run as users type it.
             code, output = typed(command) if " who_is_where " in command else here(command, printed)
             assert code == 0 and "jrdb-avr: " not in output, f"{command}\n{output}"
-            assert shown and kept(command, shown) == kept(command, output.splitlines()), command
+            assert shown, command
+            compare(DOCS / "tour.md", f"$ {command}", shown, output.rstrip().splitlines())
     ran = {command.partition(" | ")[0] for command, _ in steps(TOUR)}
     assert {shlex.join(["jrdb-avr", *own]) for own in printed} <= ran
     for snippet in blocks(TOUR, "python") + blocks(README, "python"):
@@ -118,10 +137,43 @@ def test_the_tour_runs_as_written(tmp_path, monkeypatch, small_demo):
     for query, rows in zip(blocks(GRAPH, "cypher"), blocks(GRAPH, "text"), strict=True):
         sequence = ("--param", "sequence=sample-plaza-01_0") if "$" in query else ()
         code, out, _ = processes.run("cypher", query, "--store", "demo-out/store", *sequence)
-        assert code == 0 and kept("", rows.splitlines()) == kept("", out.splitlines()), query
+        assert code == 0, query
+        compare(DOCS / "graph.md", f"{query}\n```\n\n```text", rows.splitlines(), out.rstrip().splitlines())
     # The pictures are what the commands draw; JPEG decoders may differ slightly.
     made, shown = (cv2.imread(str(path / "look.png")).astype(int) for path in (tmp_path / "demo-out", DOCS))
     assert made.shape == shown.shape and abs(made - shown).mean() < 1
+
+
+def test_the_commands_from_jrdb_to_the_papers_tables_run(tmp_path, monkeypatch):
+    """On a sample, one question per run, and with one simulated server in place of each server of vLLM."""
+    monkeypatch.chdir(tmp_path)
+    commands = [command for command, _ in steps(REPRODUCE)]
+    assert tuple(shlex.split(command)[2] for command in commands if command.startswith("vllm serve")) == BACKBONES
+    assert here("jrdb-avr sample world --sequences 2 --frames 300 --people 12 --no-images", {})[0] == 0
+    output, store, url, runs = "", Store("jrdb"), "", {}
+    with contextlib.ExitStack() as stack:
+        for command in commands:
+            if command.startswith("vllm"):
+                url = url or stack.enter_context(simulated_server(Sight(store), PERFECT))
+                continue
+            command = command.replace("~/jrdb/test_dataset", "world").replace("http://localhost:8000/v1", url)
+            if "--matrix" in command:
+                command += " --simulated --limit 1"
+            if " report " in command:
+                runs = {
+                    path.parent.name: json.loads(path.read_bytes()) for path in Path("jrdb/runs").glob("*/run.json")
+                }
+                last = sorted(name for name, run in runs.items() if run["model"] == BACKBONES[-1])
+                command = f"{command} --as 'Qwen3.5 9B' {shlex.join(last)}"
+            code, output = here(command, {})
+            assert code == 0, f"{command}\n{output}"
+    pairs = [
+        (method, model) for model in BACKBONES for method in METHODS[: len(METHODS) if model == BACKBONES[-1] else 4]
+    ]
+    assert len(pairs) == 28 and sorted((run["method"], run["model"]) for run in runs.values()) == sorted(pairs)
+    for number in (3, 4, 5, 6):
+        (title,) = re.findall(rf"^.*Table {number} of the paper.*$", output, re.MULTILINE)
+        assert "synthetic" in title
 
 
 def test_the_commands_of_the_readme_are_those_of_the_tour():

@@ -63,6 +63,13 @@ def test_a_system_without_file_locks_is_told_in_a_line():
     assert (done.returncode, done.stderr.count("\n")) == (1, 1) and "WSL" in done.stderr
 
 
+def test_an_old_python_is_told_in_a_line():
+    code = "import sys; sys.version_info, sys.version = (3, 10, 13), '3.10.13 (main)'; import jrdb_avr"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "needs Python 3.11 or newer, and this is Python 3.10.13" in done.stderr
+
+
 def test_programs_get_the_names_of_the_stub():
     tree = ast.parse((ROOT / "__init__.pyi").read_text("utf-8"))
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]

@@ -26,10 +26,11 @@ if TYPE_CHECKING:
 @store_option()
 @click.option(
     "--profile",
-    type=click.Choice(["all", "paper", "train"]),
+    type=click.Choice(["all", "paper", "lite", "train"]),
     default="all",
     show_default=True,
     help="'all': as many questions as caps permit. 'paper': at most as many per family as in the paper. "
+    "'lite': 240 of the questions of 'paper'. "
     "'train': a training set, without caps per person.",
 )
 @click.option("--n", type=click.IntRange(1), help="With --profile train: maximum number of questions.")
@@ -97,16 +98,24 @@ def _with_guessers(row: Mapping[str, Any]) -> dict[str, Any]:
     callback=open_store,
     help="Add a guesser that learns from the questions of another store (pip install 'jrdb-avr[learned]').",
 )
+@click.option("--hash", "only_hash", is_flag=True, help="Print one line that is equal for equal questions and answers.")
 @form_option
 @click.option(
     "--latex", "as_latex", is_flag=True, help="Print the paper's table of question families in LaTeX (booktabs)."
 )
-def stats(store: Store, blind_from: Store | None, form: RowFormat, as_latex: bool) -> None:
+def stats(store: Store, blind_from: Store | None, only_hash: bool, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
     The command also prints why a template has few questions.
     With --json and --csv, the column "table" holds the name of the table that contains the row.
     """
+    if only_hash:
+        from jrdb_avr.schema.tables import GENERATION_KEY
+
+        table = store.questions("questions", ["question_id"])
+        mark = (table.schema.metadata or {}).get(GENERATION_KEY.encode(), b"unknown").decode()
+        click.echo(f"{len(table)} questions, generation {mark}")
+        return
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
+import shlex
 import sys
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -18,12 +21,18 @@ from jrdb_avr.loaders.inputs import to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
 
 if TYPE_CHECKING:
+    from jrdb_avr.engine.validate.explain import ProofQuery
     from jrdb_avr.queries.store import Store
 
 Language = Literal["cypher", "sql"]
 
 _LONGEST: Final = 1 << 20
 """Maximum bytes of a statement from a file or from standard input."""
+
+_WIDTH: Final = 80
+"""Maximum characters of a printed line. Words and JSON texts are not divided."""
+
+_JSON_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"')
 
 
 def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -94,7 +103,7 @@ def sql(**options: Any) -> None:
 def _run(
     language: Language, query: str | None, store: Store | None, params: list[tuple[str, str]], **options: Any
 ) -> None:
-    from jrdb_avr.queries.named import named_queries, parse_value
+    from jrdb_avr.queries.named import find_query, named_queries, parse_value
 
     form, parquet = options["form"], options["parquet"]
     if form and parquet is not None:
@@ -113,6 +122,8 @@ def _run(
         raise click.UsageError("QUERY and --param must be UTF-8 text") from None
     values = {name: parse_value(text) for name, text in params}
     table = _unique_names(_given(store).query(language, query, values, options["timeout"]))
+    if not table.num_rows and language == "cypher":
+        _note_frame(_given(store), find_query(language, query, values)[1])
     if parquet is not None:
         _write_parquet(table, parquet)
         return
@@ -136,6 +147,16 @@ def _write_crops(store: Store, rows: list[dict[str, Any]], values: dict[str, Any
     note(f"wrote {folder}: {len(crops)} crops of {len(rows)} rows, and sheet.png")
 
 
+def _note_frame(store: Store, values: Mapping[str, Any]) -> None:
+    """Name the nearest frame that has labels of people, if a query about one frame has given no rows."""
+    if {"sequence", "frame"} <= values.keys():
+        frames = "SELECT frame FROM intervals_sightings WHERE sequence = $sequence"
+        asked = {name: values[name] for name in ("sequence", "frame")}
+        nearest = store.sql(f"{frames} ORDER BY abs(frame - $frame), frame LIMIT 1", **asked)["frame"].to_pylist()
+        if nearest and nearest != [asked["frame"]]:
+            note(f"frame {asked['frame']} has no labels of people: give the nearest, --param frame={nearest[0]}")
+
+
 def _explain(store: Store | None, question: str, form: RowFormat) -> None:
     from jrdb_avr.engine.validate.explain import explain
 
@@ -143,8 +164,35 @@ def _explain(store: Store | None, question: str, form: RowFormat) -> None:
     if form:
         print_data(explanation.rows(), form)
     else:
-        for title, rows in explanation.tables():
-            print_rows(rows, title)
+        record = explanation.record
+        proofs = [
+            {"proof": f"{proof.kind} {proof.variant}", "outcome": proof.outcome, "holds": proof.holds}
+            | {"answer": proof.answer, "statements": " ".join(map(str, ids))}
+            for proof, ids in explanation.proofs
+        ]
+        print_rows(proofs, "\n".join([_fold(record.question), *record.choices, f"Answer: {record.answer_text}"]))
+        for statement in explanation.statements:
+            print_rows(statement.rows, _to_text(statement, explanation.store))
+
+
+def _to_text(statement: ProofQuery, store: Path) -> str:
+    """Return the comments of a statement, and the shell command that runs it on a store."""
+    comments, lines = re.findall(r"(?m)^// *(.+)", statement.cypher), re.findall(r"(?m)^(?!//).+", statement.cypher)
+    parts = [f"jrdb-avr cypher --store {shlex.quote(str(store))}"]
+    parts += [
+        _fold(f"--param {shlex.quote(f'{name}={json.dumps(value)}')}") for name, value in statement.params.items()
+    ]
+    # Double quotes of texts need no escapes in the shell.
+    parts.append(shlex.quote("\n".join(_fold(line.replace("'", '"')) for line in lines)))
+    title = f"\nStatement {statement.id}: {statement.name}\n{_fold(' '.join(comments))}"
+    return f"{title}\n\n" + " \\\n".join(parts) + ("\n" if statement.rows else "\n\n(no rows)")
+
+
+def _fold(text: str) -> str:
+    """Divide a long line at spaces outside of JSON texts. Each line leaves room for a space and a backslash."""
+    guarded = _JSON_TEXT.sub(lambda quoted: quoted[0].replace(" ", "\0"), text)
+    lines = textwrap.wrap(guarded, _WIDTH - 2, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines).replace("\0", " ")
 
 
 def _given(store: Store | None) -> Store:

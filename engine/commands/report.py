@@ -80,7 +80,8 @@ def score(
     multiple=True,
     metavar="NAME",
     help="main and twins (default), ablation, pairs, people, epochs, evidence_failures, cost, all, or a "
-    "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
+    "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg, sequence, or a column of "
+    "imported questions. May be repeated.",
 )
 @click.option("--paper", is_flag=True, help="Print the paper's tables 3 to 6 beside the scores of this store.")
 @click.option(
@@ -130,16 +131,18 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
 
     from jrdb_avr.engine.report import comparison, formats
     from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
-    from jrdb_avr.engine.report.tables import PAPER_TABLES, TABLES, TOO_FEW
+    from jrdb_avr.engine.report.scored_runs import read_index
+    from jrdb_avr.engine.report.tables import PAPER_TABLES, TOO_FEW, tables_of
     from jrdb_avr.schema.errors import did_you_mean
 
     tables += tuple(PAPER_TABLES) if paper else ()
-    names = TABLES if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
-    for name in names:
-        if name not in TABLES:
-            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*TABLES, 'all'))}")
-    if form == "csv" and len(names) > 1:
+    if form == "csv" and (len(tables) > 1 or "all" in tables):
         raise click.UsageError("--csv prints one table: give one --table")
+    known = tables_of(read_index(store).labels)
+    names = known if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
+    for name in names:
+        if name not in known:
+            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*known, 'all'))}")
     with warnings_as_notes():
         result = comparison.report(store, options["runs"], iou=iou, backbone=options["backbone"])
     if html is not None:

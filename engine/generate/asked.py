@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 from jrdb_avr.engine.generate.guessers import LabelCounts, Offer
-from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
+from jrdb_avr.engine.report.hashes import hash_of, in_hash_order
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _PARTS: Final = 4

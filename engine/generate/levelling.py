@@ -25,9 +25,9 @@ from jrdb_avr.engine.generate.guessers import (
     above_bound,
     commonest_answer,
 )
-from jrdb_avr.engine.generate.hashes import Hashes, hash_of, permute
 from jrdb_avr.engine.generate.levels import Level
 from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
+from jrdb_avr.engine.report.hashes import Hashes, hash_of, permute
 from jrdb_avr.schema.rules import Rules
 
 MAX_TWINS: Final = {"change": 50, "presence": 50, "later_action": 9}

@@ -20,7 +20,7 @@ import numpy as np
 from jrdb_avr.engine.generate.asked import Candidate, Question, offer_of
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import LabelCounts
-from jrdb_avr.engine.generate.hashes import hash_of, permute
+from jrdb_avr.engine.report.hashes import hash_of, permute
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS

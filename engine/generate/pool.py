@@ -22,7 +22,6 @@ from jrdb_avr.engine.generate.asked import Candidate, answer_contexts, choice_co
 from jrdb_avr.engine.generate.bins import answer_bin
 from jrdb_avr.engine.generate.choices import wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
@@ -30,6 +29,7 @@ from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate
 from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
+from jrdb_avr.engine.report.hashes import hash_of
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import QUESTION_RELATIONS

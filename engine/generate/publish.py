@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -41,15 +40,16 @@ def _evidence(store: Store, questions: pa.Table) -> Iterator[pa.Table]:
 
 
 def publish(
-    store: Store, questions: pa.Table, tables: Mapping[str, pa.Table], training: Mapping[str, str] | None = None
+    store: Store, questions: pa.Table, tables: Mapping[str, pa.Table], metadata: Mapping[str, str] | None = None
 ) -> None:
     """Write the tables of a generation so that they are complete, or known to be incomplete. Under the writer lock.
 
     Args:
         store: Store with the boxes of people.
-        questions: Questions in the columns of the tables `questions` and `answers`, in the order of their ids.
-        tables: The tables `rejected` and `sequences` by name.
-        training: Metadata of a training set in place of the canary.
+        questions: Questions in the columns of the tables `questions` and `answers`, in the order of their ids. Further
+            columns of imported questions become columns of `answers`.
+        tables: The tables `rejected` and `sequences` by name. Imported questions have a table `evidence`, too.
+        metadata: Metadata in place of the canary, and of the mark if it has one.
 
     Raises:
         StoreError: If a file cannot be written.
@@ -59,22 +59,20 @@ def publish(
     groups = [questions.slice(first, QUESTION_GROUP) for first in range(0, len(questions), QUESTION_GROUP)]
     for group in groups:
         digest.update(msgspec.json.encode(group.to_pylist(), order="sorted"))
-    metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: digest.hexdigest()}
+    metadata = {GENERATION_KEY: digest.hexdigest(), **(metadata or {"canary": CANARY})}
+    stored = {"key", *QUESTIONS["questions"].names, *QUESTIONS["answers"].names}
+    added = [field for field in questions.schema if field.name not in stored]
+    schemas = {**QUESTIONS, "answers": pa.schema([*QUESTIONS["answers"], *added])}
     parts = {"evidence": _evidence(store, questions), "questions": groups, "answers": groups}
     try:
         # A killed run may have left files.
         shutil.rmtree(pending, ignore_errors=True)
         for name, part in (parts | {name: [table] for name, table in tables.items()}).items():
-            write_groups(pending / f"{name}.parquet", part, QUESTIONS[name], metadata)
-        _move_in(pending, folder)
+            write_groups(pending / f"{name}.parquet", part, schemas[name], metadata)
+        for name in PUBLISHED:
+            (pending / f"{name}.parquet").replace(folder / f"{name}.parquet")
+        sync_folder(folder)
     except OSError as error:
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None
     finally:
         shutil.rmtree(pending, ignore_errors=True)
-
-
-def _move_in(pending: Path, folder: Path) -> None:
-    """Move the files of a generation into their places."""
-    for name in PUBLISHED:
-        (pending / f"{name}.parquet").replace(folder / f"{name}.parquet")
-    sync_folder(folder)

@@ -20,12 +20,12 @@ from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Facts, Key
-from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.perturb import MissingFactsError, NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, program_of
 from jrdb_avr.engine.generate.stored_layer import Job
 from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.engine.report.hashes import hash_of
 from jrdb_avr.queries.graph.handle import open_worker_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector

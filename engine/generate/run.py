@@ -20,11 +20,13 @@ from jrdb_avr.engine.generate.diagnostics import tallies
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, read_held_out
 from jrdb_avr.engine.generate.layer import TableRow
+from jrdb_avr.engine.generate.lite import thin
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, pool_limits, select
 from jrdb_avr.engine.generate.stored_layer import Job, ensure_layer
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
@@ -84,8 +86,8 @@ def generate(
     Args:
         store: The store, or its folder.
         rules: The rules; None for the defaults.
-        profile: "all", as many questions as near-duplicates and caps allow; "paper", the numbers of the paper; or
-            "train", a training set under `training_rules`.
+        profile: "all", as many questions as near-duplicates and caps allow; "paper", the numbers of the paper;
+            "lite", 240 of the questions of "paper"; or "train", a training set under `training_rules`.
         workers: Number of processes, or a Ray cluster.
         n: Maximum number of questions of a training set; None for all.
         disjoint_from: A store. No question of the training set needs a person of its questions at the same time.
@@ -102,6 +104,7 @@ def generate(
         InputError: An option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
+    refuse_imported(store, "load the annotations into another store, and generate there")
     held_out, extents = _held_out(store, profile, n, disjoint_from)
     rules = training_rules(rules) if profile == TRAIN else rules
     check_load_rules(store, rules)
@@ -125,6 +128,8 @@ def generate(
                 partial(_make, jobs, workers, progress),
                 excluded,
             )
+            if profile == "lite":
+                questions, report = thin(questions, report, left)
         rows = [row for one in found for row in one.refused]
         rows += [_refusal(*rule, count) for rule, count in left.items()]
         order = [(name, "ascending") for name in ("sequence", "template", "rule")]

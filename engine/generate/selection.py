@@ -12,30 +12,21 @@ from typing import Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
-from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.levelling import level_choices, select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
+from jrdb_avr.engine.report.hashes import hash_of
+from jrdb_avr.engine.report.paper import QUOTAS
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FAMILIES, forms_of
 
 TRAIN: Final = "train"
 """The profile of training sets: of every template as many as there are, under `training_rules`."""
 
-PROFILES: Final[dict[str, dict[str, int]]] = {
-    "all": {},
-    "paper": {
-        "action_boundary": 67,
-        "chain_2hop": 76,
-        "chain_3hop": 222,
-        "chain_fork_join": 32,
-        "chain_hybrid": 51,
-        "long_range": 30,
-        "unique_anchor": 1620,
-    },
-    TRAIN: {},
-}
-"""Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates."""
+PROFILES: Final[dict[str, dict[str, int]]] = {"all": {}, "paper": QUOTAS, "lite": QUOTAS, TRAIN: {}}
+"""Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates.
+
+The profile lite keeps a part of the selected questions (`engine/generate/lite.py`)."""
 
 STAGES: Final = (
     *(("span", "start"), ("action_search",), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import pyarrow as pa
 
 from jrdb_avr.queries.files import file_hash
-from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TITLE, Source
+from jrdb_avr.schema.card import CITE, HOME, SAMPLE, SYNTHETIC, TITLE, Source
 from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
 
 KEYS: Final = {"questions": "question_id", "sequences": "sequence"}
@@ -43,12 +43,23 @@ _TYPES: Final = {pa.string(): "sc:Text", pa.int32(): "sc:Integer", pa.float64():
 
 
 class Release(NamedTuple):
-    """Facts about a published question set: its version, day of publication, publisher and address."""
+    """Facts about a published question set.
+
+    Attributes:
+        version: Version of the program with a hash of the questions.
+        published: Day of publication.
+        creator: Publisher.
+        url: Address of the publication.
+        summary: Description in two or three sentences.
+        rai: Texts about responsible use, by their property in Croissant.
+    """
 
     version: str
     published: datetime.date
     creator: str
     url: str
+    summary: str
+    rai: Mapping[str, str]
 
 
 def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source], release: Release) -> dict[str, Any]:
@@ -68,7 +79,7 @@ def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source],
         "@type": "sc:Dataset",
         "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
         "name": TITLE,
-        "description": " ".join([SUMMARY, *([SYNTHETIC] if SAMPLE in sources else []), CANARY]),
+        "description": " ".join([release.summary, *([SYNTHETIC] if SAMPLE in sources else []), CANARY]),
         "version": release.version,
         "datePublished": release.published.isoformat(),
         "creator": {"@type": "sc:Organization", "name": release.creator},
@@ -81,7 +92,7 @@ def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source],
             {"@type": "sc:CreativeWork", "name": source.name, "url": HOME, "license": source.licence_url}
             for source in sources
         ],
-        **{f"rai:{name}": text for name, text in RAI.items()},
+        **{f"rai:{name}": text for name, text in release.rai.items()},
         "distribution": [_file(folder, table, path) for table, path in files.items()],
         "recordSet": [_records(table) for table in files],
     }

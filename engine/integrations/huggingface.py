@@ -4,6 +4,7 @@
     DIR/public/croissant.json                 the description of the tables in the format Croissant
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
+    DIR/private/opaque.key                    the key of the opaque names and ids
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet
 
 The answers need a private folder, because every file of a published folder can be downloaded. In the public folder,
@@ -29,9 +30,10 @@ from jrdb_avr import __version__
 from jrdb_avr.engine.generate.blind import question_texts
 from jrdb_avr.engine.generate.guessers import COUNTING
 from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
+from jrdb_avr.engine.report.truth import is_imported
 from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.files import new_folder, write_bytes
-from jrdb_avr.queries.opaque import opaque_ids, opaque_names, rename
+from jrdb_avr.queries.opaque import key_path, opaque_ids, opaque_names, rename
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
@@ -43,6 +45,10 @@ _ABOUT_NAMES: Final = (
     [("sequence", "Its opaque name."), ("name", "Its name in JRDB.")],
 )
 
+_IMPORTED: Final = (
+    "Questions about people in 360-degree video that a mobile robot recorded. Another program wrote them; jrdb-avr "
+    "checked their form and their boxes, and proved no answer. The publisher keeps answers and boxes for scoring."
+)
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 
 
@@ -85,13 +91,16 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     generation = (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
     metadata = {"canary": CANARY, GENERATION_KEY: generation}
     day = published or datetime.datetime.now(datetime.UTC).date()
-    release = Release(f"{__version__}+{generation[:12]}", day, creator, url)
+    summary, rai = (_IMPORTED, {}) if is_imported(store) else (card.SUMMARY, card.RAI)
+    release = Release(f"{__version__}+{generation[:12]}", day, creator, url, summary, rai)
 
     private.mkdir(0o700)
     (private / "data").mkdir()
     shutil.copyfile(store.question_path("evidence"), private / _path("evidence"))
-    judged = rename(rename(answers, "question_id", ids), "twin_id", ids).sort_by("question_id")
-    write_table(private / _path("answers"), judged, QUESTIONS["answers"], metadata)
+    shutil.copyfile(key_path(store), private / key_path(store).name)
+    judged = rename(answers, "question_id", ids).sort_by("question_id")
+    kept = {key.decode(): text.decode() for key, text in (answers.schema.metadata or {}).items()}
+    write_table(private / _path("answers"), judged, answers.schema.remove_metadata(), kept)
     mapping = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
     write_table(private / _path("names"), mapping.sort_by("sequence"), _NAMES, metadata)
     shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
@@ -111,16 +120,14 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
         "card.md",
         head=_front(_head(len(questions), sources) | _configs(tables)),
         synthetic=card.SYNTHETIC if card.SAMPLE in sources else "",
-        summary=card.SUMMARY,
         sequences=len(sequences),
         counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
         tables=_columns(tables),
         evidence=dict(sorted(evidence.items())),
-        blind=check_store(store, question_texts(questions, answers)),
+        blind=[] if is_imported(store) else check_store(store, question_texts(questions, answers)),
         counting=COUNTING,
         sources=sources,
         home=card.HOME,
-        rai=card.RAI,
         cite=card.CITE,
         **shared,
     )

@@ -16,6 +16,7 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.engine.pages.timeline import Record, SequenceTables, timeline_rows
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import Choice
@@ -60,6 +61,7 @@ def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
     Raises:
         StoreError: If a table is missing.
     """
+    refuse_imported(store, "look at them with 'jrdb-avr view'")
     *tables, infos = store.question_tables("questions", "answers", "sequences")
     questions, answers = (_by_id(table, ids) for table in tables)
     sequences = {row["sequence"]: row for row in infos.to_pylist()}
@@ -225,9 +227,7 @@ def inspect_page(
 
 def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
     record, answer = question.record, decode_answer(question.record.answer_mode, question.record.answer)
-    in_words = functools.partial(
-        readable, record.answer_mode, choices=(), fps=question.fps, unit=unit_of(question.plan)
-    )
+    in_words = functools.partial(readable, record.answer_mode, choices=(), fps=question.fps, unit=unit_of(record.plan))
     # The answer of a proof is JSON, or the text of a choice if the question has choices.
     proofs = [(proof, proof.answer if record.choices else in_words(proof.answer)) for proof in record.proofs]
     return {

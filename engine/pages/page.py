@@ -19,7 +19,7 @@ from jrdb_avr.queries.files import write_bytes
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.plan import parse_plan
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 _QUALITY: Final = 70
 """WebP quality of pictures. WebP files are half as large as JPEG files of the same quality."""
-
-_TEXT_DIRECTION: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 
 
 def render(name: str, **values: Any) -> str:
@@ -103,16 +101,11 @@ def environment() -> Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: value if isinstance(value, Markup) else _plain(value),
+        finalize=lambda value: value if isinstance(value, Markup) else clean(value),
     )
     environment.filters |= {"cell": functools.partial(cell, decimals=1), "json": _json, "shortened": shortened}
     environment.globals |= {"asset": lambda name: Markup(_text(name)), "node_width": NODE_WIDTH}  # noqa: S704 - own files
     return environment
-
-
-def _plain(value: object) -> str:
-    """Return a value as text without control characters. Characters that reorder text are replaced by their codes."""
-    return clean(value).translate(_TEXT_DIRECTION)
 
 
 def _text(name: str) -> str:
@@ -123,7 +116,7 @@ def _json(value: object) -> Markup:
     """Return a value as JSON for a <script> element. The JSON cannot end the element or begin a comment."""
     from markupsafe import Markup
 
-    text = msgspec.json.encode(value).decode()
+    text = clean(msgspec.json.encode(value).decode())
     for letter in "<>&\u2028\u2029":
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return Markup(text)  # noqa: S704 - escaped above
@@ -155,16 +148,16 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
     return record.phrase.format_map({name: write[kind](getattr(answer, name)) for name, kind in record.fields})
 
 
-def unit_of(plan: Plan) -> str:
+def unit_of(plan: str) -> str:
     """Return the unit of the answer to a question.
 
     Args:
-        plan: The plan of the question.
+        plan: The plan of the question as JSON. It is empty for an imported question.
 
     Returns:
-        The unit, or an empty text if the answer has no unit.
+        The unit, or an empty text if the answer has no known unit.
     """
-    return {"seconds_between": "s", "count": "people"}.get(plan.answer.read, "")
+    return {"seconds_between": "s", "count": "people"}.get(parse_plan(plan).answer.read, "") if plan else ""
 
 
 def _at(frame: int, fps: float) -> str:

@@ -21,7 +21,6 @@ from jrdb_avr.schema.answers import Answer, Choice
 from jrdb_avr.schema.beliefs import name_of
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
-from jrdb_avr.schema.plan import parse_plan
 
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)
@@ -51,7 +50,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     bound = decision.bindings[0].nodes if decision is not None and decision.bindings else {}
     nodes = [] if plan is None else [node.id for node in plan.nodes]
     evidence = evidence_box(trace)
-    unit = unit_of(parse_plan(trace.answer["plan"]))
+    unit = unit_of(trace.answer["plan"])
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
     answers = trace.answer["answer"], trace.prediction["answer"], trace.prediction["proposed"]
     true, predicted, proposed = (readable(mode, text, choices, trace.fps, unit) for text in answers)

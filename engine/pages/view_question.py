@@ -16,7 +16,6 @@ from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.beliefs import name_of
 from jrdb_avr.schema.method import SequenceInfo
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
-from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.wording.text import moment, parse, stated_frames
 
 _MOST: Final = 1_000
@@ -74,7 +73,7 @@ def question_page(
     """
     trace = transcript if isinstance(transcript, Trace) else None
     true = None if truth is None else truth["answer"]
-    unit = "" if truth is None else unit_of(parse_plan(truth["plan"]))
+    unit = "" if truth is None else unit_of(truth["plan"])
     mode, fps = question.answer_mode, info.fps
     given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
     if twin is None:

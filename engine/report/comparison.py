@@ -19,7 +19,6 @@ from jrdb_avr.engine.report.side_by_side import paper_rows
 from jrdb_avr.engine.report.tables import (
     PAPER_TABLES,
     RESULTS,
-    TABLES,
     Line,
     ablation_rows,
     breakdown_rows,
@@ -28,6 +27,7 @@ from jrdb_avr.engine.report.tables import (
     ranked,
     rows_of_pairs,
     score_row,
+    tables_of,
 )
 from jrdb_avr.engine.report.time_grounding import twin_rows
 from jrdb_avr.engine.report.truth import read_truth
@@ -88,7 +88,7 @@ class Comparison(Displayed):
         """Compute one table of the report.
 
         Args:
-            name: A name of `TABLES`.
+            name: A member of `names`.
 
         Returns:
             The rows of the table.
@@ -98,21 +98,27 @@ class Comparison(Displayed):
         """
         return self.tables([name])[name]
 
-    def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Line]]:
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all tables of the report."""
+        return tables_of(self.index.labels)
+
+    def tables(self, names: Sequence[str] | None = None) -> dict[str, list[Line]]:
         """Compute several tables of the report. All tables that SQL queries compute share one connection.
 
         Args:
-            names: Names of `TABLES`.
+            names: Members of `names`, or None for all.
 
         Returns:
             A dict from the name of each table to the rows of this table.
 
         Raises:
-            InputError: If a name is not in `TABLES`.
+            InputError: If there is no table of a name.
         """
+        names = self.names if names is None else names
         for name in names:
-            if name not in TABLES:
-                raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
+            if name not in self.names:
+                raise InputError(f"no table {name!r}; there are {', '.join(self.names)}", field="table")
         computed = {name: self._computed(name) for name in names if name not in RESULTS}
         return computed | self._results([name for name in names if name in RESULTS])
 
@@ -165,7 +171,7 @@ class Comparison(Displayed):
         """Return a table in Markdown, with the columns that a paper prints.
 
         Args:
-            name: A name of `TABLES`.
+            name: A member of `names`.
 
         Returns:
             The Markdown text.
@@ -176,7 +182,7 @@ class Comparison(Displayed):
         """Return a table in LaTeX for the package booktabs, with the columns that a paper prints.
 
         Args:
-            name: A name of `TABLES`.
+            name: A member of `names`.
 
         Returns:
             A `tabular` environment, and notes below it if the table has settings.

@@ -39,6 +39,18 @@ GROUPS: Final[dict[str, Group]] = {
 """The paper's groups by name, with the counts of the paper's agent on Qwen3.5 9B."""
 
 
+QUOTAS: Final = {
+    "action_boundary": 67,
+    "chain_2hop": 76,
+    "chain_3hop": 222,
+    "chain_fork_join": 32,
+    "chain_hybrid": 51,
+    "long_range": 30,
+    "unique_anchor": 1620,
+}
+"""Number of questions of each family in the paper, in the order of its table."""
+
+
 class Published(NamedTuple):
     """A row of the paper's main table or ablation, in percent."""
 

@@ -16,10 +16,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.paper import GROUPS
-from jrdb_avr.engine.report.truth import sort_by_sequence
+from jrdb_avr.engine.report.truth import is_imported, sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
+from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 
 SCORES: Final = ("answer", "evidence", "combined")
@@ -57,17 +58,20 @@ class QuestionIndex:
         twins: For each question, the key that it shares with its time twin. None without a twin.
     """
 
-    def __init__(self, questions: pa.Table, answers: pa.Table) -> None:
+    def __init__(self, questions: pa.Table, answers: pa.Table, others: Sequence[str] | None = None) -> None:
+        """Group questions by `DIMENSIONS`, or imported ones by `_TEXTS` and `others`, columns of `answers`."""
         self.ids = questions["question_id"].combine_chunks()
         matching = answers.take(pc.index_in(self.ids, value_set=answers["question_id"].combine_chunks()))
         values: dict[str, list[str]] = {name: questions[name].to_pylist() for name in _TEXTS}
-        values["group"] = [_GROUP_OF[family] for family in values["family"]]
-        hops = {name: str(forms_of(name)[0].hops) for name in set(values["template"])}
-        values["hops"] = [hops[name] for name in values["template"]]
-        for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
-            bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
-            values[name] = [bins[bisect_right(edges, value)] for value in matching[name].to_pylist()]
-        self.labels = {name: _labels(of_questions) for name, of_questions in values.items()}
+        if others is None:
+            values["group"] = [_GROUP_OF[family] for family in values["family"]]
+            hops = {name: str(forms_of(name)[0].hops) for name in set(values["template"])}
+            values["hops"] = [hops[name] for name in values["template"]]
+            for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
+                bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
+                values[name] = [bins[bisect_right(edges, value)] for value in matching[name].to_pylist()]
+        values |= {name: matching[name].to_pylist() for name in others or ()}
+        self.labels = {name: _labels(values[name]) for name in (DIMENSIONS if others is None else values)}
         self.twins: list[str | None] = matching["twin_id"].to_pylist()
 
 
@@ -124,9 +128,10 @@ def read_index(store: Store) -> QuestionIndex:
     Raises:
         StoreError: If the store has no questions, or no answers.
     """
-    answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg", "twin_id"])
+    answers = store.questions("answers")
+    others = [name for name in answers.column_names if name not in QUESTIONS["answers"].names]
     questions = store.questions("questions", ["question_id", *_TEXTS])
-    return QuestionIndex(sort_by_sequence(questions), answers)
+    return QuestionIndex(sort_by_sequence(questions), answers, others if is_imported(store) else None)
 
 
 def percent_of(part: float, n: float) -> float | None:

@@ -11,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.selection import PROFILES
-from jrdb_avr.engine.report.paper import ABLATION, ALIASES, BY_GROUP, GROUPS, MAIN, Published, backbone_of
+from jrdb_avr.engine.report.paper import ABLATION, ALIASES, BY_GROUP, GROUPS, MAIN, QUOTAS, Published, backbone_of
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, distinguishing_settings
 from jrdb_avr.engine.report.tables import CELLS, SHARES, Line, run_names, score_columns
 from jrdb_avr.schema.card import is_of_sample
@@ -82,10 +81,9 @@ def _match(runs: Sequence[ScoredRun], backbone: str) -> dict[str, list[ScoredRun
 def _generator_rows(index: QuestionIndex) -> list[Line]:
     labels = index.labels["family"]
     counts = dict(zip(labels.names, np.bincount(labels.numbers).tolist(), strict=True))
-    quotas = PROFILES["paper"]
     label = "synthetic" if any(map(is_of_sample, index.labels["sequence"].names)) else ""
-    pairs = {name: (quota, counts.get(name, 0)) for name, quota in quotas.items()}
-    pairs["all"] = (sum(quotas.values()), len(index.ids))
+    pairs = {name: (quota, counts.get(name, 0)) for name, quota in QUOTAS.items()}
+    pairs["all"] = (sum(QUOTAS.values()), len(index.ids))
     return [
         {"generator": name, "paper_n": paper, "n": n, "n_difference": n - paper, "label": label}
         for name, (paper, n) in pairs.items()

@@ -6,7 +6,7 @@ Scores are in percent of `n`, the number of questions. If `n` is 0, a score is N
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -62,7 +62,8 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
     base = np.concatenate([np.ones((run.n, 1)), run.scores], axis=1)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
     for title, dimension in (("families", "family"), ("groups", "group")):
-        labels = index.labels[dimension]
+        if (labels := index.labels.get(dimension)) is None:
+            continue
         count = len(labels.names)
         sums = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, base)
         means = [mean_ratio(*((4 * k + score, 4 * k) for k in range(count))) for score in (1, 2, 3)]
@@ -144,7 +145,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
     Args:
         index: The questions of the store, with their labels.
         runs: Scored runs.
-        dimension: A name of `DIMENSIONS`.
+        dimension: A name of `index.labels`.
 
     Returns:
         For each value, one row per run that has questions with this value.
@@ -305,6 +306,15 @@ PAPER_TABLES: Final = {
 }
 """Titles of the tables that have the paper's figures beside the figures of the store, by name."""
 
-TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS, *PAPER_TABLES)
-"""Names of all tables. `main` has the scores with intervals. `twins` is empty if the questions have no time twins. A
-dimension's table has the scores per value."""
+
+def tables_of(dimensions: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of all tables of questions with labels for these dimensions."""
+    paper = PAPER_TABLES if "group" in dimensions else ()
+    return "main", "twins", *dimensions, "ablation", "pairs", "people", "epochs", *RESULTS, *paper
+
+
+TABLES: Final = tables_of(DIMENSIONS)
+"""Names of all tables of generated questions.
+
+`main` has the scores with intervals. `twins` is empty if the questions have no time twins. A dimension's table has the
+scores per value."""

@@ -10,10 +10,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answer_modes import MODES, decode_answer
-from jrdb_avr.schema.answers import Answer
+from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
+from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import DecodeError, StoreError
+from jrdb_avr.schema.questions import IMPORTED_KEY
 from jrdb_avr.schema.tables import QUESTIONS
 
 FRAME_LIMIT: Final = 1 << 24
@@ -154,6 +155,35 @@ def read_answer(mode: str, text: str | None) -> Answer | None:
         return decode_answer(mode, text or "")
     except DecodeError:
         return None
+
+
+def is_inside(answer: Answer, choices: int, frame_count: int) -> bool:
+    """Return whether an answer can be true.
+
+    Args:
+        answer: Answer to a question.
+        choices: Number of choices of the question.
+        frame_count: Number of frames of its sequence.
+
+    Returns:
+        Whether the answer names a choice, or ascending frames of the sequence, or a number above 0.
+    """
+    if isinstance(answer, Choice):
+        return answer.choice <= choices
+    if frames := frames_of_answer(answer):
+        return frames == sorted(frames) and frames[-1] < frame_count
+    return not isinstance(answer, Number) or answer.value > 0
+
+
+def is_imported(store: Store) -> bool:
+    """Return whether another program wrote the questions of a store, so that they have no plans and no proofs."""
+    return IMPORTED_KEY.encode() in (store.questions("questions", []).schema.metadata or {})
+
+
+def refuse_imported(store: Store, remedy: str) -> None:
+    """Raise StoreError if a store has imported questions. The message of the error ends in `remedy`."""
+    if store.question_path("questions").exists() and is_imported(store):
+        raise StoreError(f"{store.path} has imported questions, which have no plans: {remedy}")
 
 
 def row_numbers(values: Any, among: Any) -> Ints:

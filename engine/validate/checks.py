@@ -18,23 +18,24 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
 from jrdb_avr.engine.rederive.twins import compare_twins
+from jrdb_avr.engine.report.hashes import hash_of, in_hash_order
+from jrdb_avr.engine.report.scoring import DEFAULT_IOU
+from jrdb_avr.engine.report.truth import is_imported, is_inside, refuse_imported
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
-from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.choice_labels import CHOICE_COUNT
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
 from jrdb_avr.schema.labels import answer_of_choice
-from jrdb_avr.schema.panorama import Box, angle_error
+from jrdb_avr.schema.panorama import Box, angle_error, iou
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
-from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY, QuestionRecord
+from jrdb_avr.schema.questions import DISJOINT_KEY, IMPORTED_KEY, PROFILE_KEY, QuestionRecord
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 from jrdb_avr.schema.templates import forms_of
@@ -70,19 +71,22 @@ def validate(
     count = store.questions("questions").num_rows
     advance = step_counter(progress, "checking questions", count)
     report = Validation()
-    training = bool(store.training_set())
+    training, imported = bool(store.training_set()), is_imported(store)
+    if replay_proofs:
+        refuse_imported(store, "validate without --replay")
     rules = training_rules(rules) if training else rules
-    read = {name: _read(store, name, report, training) for name in _FILES}
+    marks = {PROFILE_KEY, DISJOINT_KEY} if training else {"canary", IMPORTED_KEY} if imported else {"canary"}
+    read = {name: _read(store, name, report, marks | {GENERATION_KEY}) for name in _FILES}
     tables = {name: table for name, table in read.items() if table is not None}
     if len(tables) < len(_FILES):
         return report
     generations = {(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values()}
     report.check("files", len(generations) == 1, "the files are of different generations: generate again")
     hashes = set(tables["answers"]["rules"].to_pylist())
-    if hashes and rules_hash(rules) not in hashes:
+    if hashes and not imported and rules_hash(rules) not in hashes:
         raise StoreError(f"{store.path} has questions of other rules: give the --rule options of generate")
     infos = {row["sequence"]: row for row in tables["sequences"].to_pylist()}
-    _check_ids(report, tables)
+    _check_ids(report, tables, imported)
     records = read_records(store, report)
     boxes = _read_evidence(tables["evidence"])
     stray = sorted(boxes.keys() - {(record.sequence, record.target_track) for record in records})
@@ -97,7 +101,8 @@ def validate(
             check = _QuestionCheck(report, record, infos[sequence], annotations, rules, keys[record.question_id])
             check.run(boxes[sequence, record.target_track])
             advance(1)
-    _check_selection(report, records, rules)
+    if not imported:
+        _check_selection(report, records, rules)
     if replay_proofs:
         check_replay(report, store, records, rules, step_counter(progress, "repeating proofs", 2 * count))
     return report
@@ -157,19 +162,20 @@ def check_replay(
 # -- files ------------------------------------------------------------------------------------------------------------
 
 
-def _read(store: Store, table_name: str, report: Validation, training: bool) -> pa.Table | None:
-    """Read a question file. Return None if its columns or values are wrong."""
+def _read(store: Store, table_name: str, report: Validation, keys: set[str]) -> pa.Table | None:
+    """Read a question file, with these keys of metadata. Return None if its columns or values are wrong."""
     path, schema = store.question_path(table_name), QUESTIONS[table_name]
     if not path.exists():
         raise StoreError(f"{path} is missing: run 'jrdb-avr generate --store {store.path}'")
     name, table = path.relative_to(store.path / "questions"), read_table(path)
+    if IMPORTED_KEY in keys and table_name == "answers":  # Other columns follow.
+        table = table.select(range(len(schema)))
     columns, same = _list_columns(table.schema), table.schema.remove_metadata().equals(schema)
     report.check("files", same, f"{name} has the columns {columns}; expected {_list_columns(schema)}")
     stored = {key.decode(errors="replace"): value for key, value in (pq.read_metadata(path).metadata or {}).items()}
-    keys = {GENERATION_KEY, PROFILE_KEY, DISJOINT_KEY} if training else {GENERATION_KEY, "canary"}
     named = stored.keys() - {"ARROW:schema"}
     report.check("files", named == keys, f"{name} has the metadata {sorted(named)}")
-    marked = training or stored.get("canary") == CANARY.encode()
+    marked = "canary" not in keys or stored.get("canary") == CANARY.encode()
     report.check("files", marked, f"{name} lacks the canary")
     try:
         table.validate(full=True)
@@ -193,10 +199,10 @@ def _list_columns(schema: pa.Schema) -> str:
     return ", ".join(f"{field.name} {field.type}" for field in schema)
 
 
-def _check_ids(report: Validation, tables: Mapping[str, pa.Table]) -> None:
+def _check_ids(report: Validation, tables: Mapping[str, pa.Table], imported: bool) -> None:
     for row in tables["questions"].to_pylist():
         name = row.pop("question_id")
-        report.check("ids", question_id(**row) == name, f"{name}: the hash of the public columns differs")
+        report.check("ids", imported or question_id(**row) == name, f"{name}: the hash of the public columns differs")
     questions, answers = (Counter(tables[name]["question_id"].to_pylist()) for name in ("questions", "answers"))
     for name in sorted(questions | answers):
         counts = questions[name], answers[name]
@@ -235,14 +241,18 @@ class _QuestionCheck:
     def run(self, boxes: Sequence[tuple[int, Box]]) -> None:
         """Run all checks. `boxes` are the boxes of the evidence by frame."""
         record, mode, count = self.record, self.record.answer_mode, len(self.record.choices)
+        imported, expected = not record.plan, CHOICE_COUNT if MODES[mode].is_choice else 0
+        complete = count == len(set(record.choices)) == (count if imported and expected else expected)
+        self.check("choices", complete, f"choices {list(record.choices)} for an answer of mode {mode}")
+        answer = decode_answer(mode, record.answer)
+        inside = is_inside(answer, count, self.info["frame_count"])
+        self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")
+        if imported:
+            self._check_near(boxes)
+            return
         same = sorted(boxes) == sorted(self.annotations.boxes(record.target_track).items())
         self.check("evidence", same, f"the boxes differ from those of person {record.target_track}")
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under the rules {record.rules}")
-        complete = count == len(set(record.choices)) == (CHOICE_COUNT if MODES[mode].is_choice else 0)
-        self.check("choices", complete, f"choices {list(record.choices)} for an answer of mode {mode}")
-        answer = decode_answer(mode, record.answer)
-        inside = _is_inside(answer, count, self.info["frame_count"])
-        self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")
         try:
             plan, family = parse_plan(record.plan), forms_of(record.template)[0].family
         except AvrError as error:
@@ -259,6 +269,15 @@ class _QuestionCheck:
         again = self._compute_columns(plan, outcome)
         faults = [f"{record.question_id}: {fault}" for fault in outcome.faults]
         self.report.add("rederive", len(again), [*faults, *compare_record(record, again)])
+
+    def _check_near(self, boxes: Sequence[tuple[int, Box]]) -> None:
+        """Check imported boxes: a method can look at one of them, and an annotated box of a person is near each."""
+        frames = {frame for frame, _ in boxes}
+        self.check("evidence", not frames.isdisjoint(self.info["frames"]), f"no picture of the frames {sorted(frames)}")
+        for frame, box in boxes:
+            people = [self.annotations.boxes(track)[frame] for track in self.annotations.people(frame)]
+            near = any(iou(box, person) >= DEFAULT_IOU for person in people)
+            self.check("evidence", near, f"no annotated box is near {list(box)} at frame {frame}")
 
     def _compute_columns(self, plan: Plan, outcome: Outcome) -> dict[str, Any]:
         """Return the values of columns that follow from the outcome of the second program."""
@@ -300,14 +319,6 @@ class _QuestionCheck:
         bound = record.bindings.keys() == {node.id for node in plan.nodes} | set(plan.times)
         bound = bound and record.bindings[plan.target] == record.target_track
         self.check("proofs", bound, f"bindings {record.bindings} do not fit the plan")
-
-
-def _is_inside(answer: Answer, choices: int, frame_count: int) -> bool:
-    if isinstance(answer, Choice):
-        return answer.choice <= choices
-    if frames := frames_of_answer(answer):
-        return frames == sorted(frames) and frames[-1] < frame_count
-    return not isinstance(answer, Number) or answer.value > 0
 
 
 # -- all questions together -------------------------------------------------------------------------------------------

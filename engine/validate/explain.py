@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
-import re
-import shlex
-import textwrap
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, require_all
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.engine.validate.checks import read_records
 from jrdb_avr.engine.validate.replay import StoredPlan, iterate_stored_proofs, read_plans
 from jrdb_avr.engine.validate.validation import Validation
@@ -26,11 +22,6 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
-
-_WIDTH: Final = 80
-"""Maximum characters of a printed line. Words and JSON texts are not divided."""
-
-_JSON_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"')
 
 
 class ProofQuery(NamedTuple):
@@ -49,16 +40,6 @@ class ProofQuery(NamedTuple):
     cypher: str
     params: dict[str, Any]
     rows: list[dict[str, Any]]
-
-    def to_text(self, store: Path) -> str:
-        """Return the comments of the statement, and the shell command that runs it on a store."""
-        comments, lines = re.findall(r"(?m)^// *(.+)", self.cypher), re.findall(r"(?m)^(?!//).+", self.cypher)
-        parts = [f"jrdb-avr cypher --store {shlex.quote(str(store))}"]
-        parts += [_fold(f"--param {shlex.quote(f'{name}={json.dumps(value)}')}") for name, value in self.params.items()]
-        # Double quotes of texts need no escapes in the shell.
-        parts.append(shlex.quote("\n".join(_fold(line.replace("'", '"')) for line in lines)))
-        title = f"\nStatement {self.id}: {self.name}\n{_fold(' '.join(comments))}"
-        return f"{title}\n\n" + " \\\n".join(parts) + ("\n" if self.rows else "\n\n(no rows)")
 
 
 class Explanation(NamedTuple):
@@ -82,19 +63,6 @@ class Explanation(NamedTuple):
         proofs = ({"question_id": self.record.question_id} | msgspec.structs.asdict(proof) for proof, _ in self.proofs)
         return [proof | {"statements": statements} for proof, statements in zip(proofs, used, strict=True)]
 
-    def tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-        """Yield the tables that a terminal shows, each with the text above it: the proofs, then the statements."""
-        yield (
-            "\n".join([_fold(self.record.question), *self.record.choices, f"Answer: {self.record.answer_text}"]),
-            [
-                {"proof": f"{proof.kind} {proof.variant}", "outcome": proof.outcome, "holds": proof.holds}
-                | {"answer": proof.answer, "statements": " ".join(map(str, ids))}
-                for proof, ids in self.proofs
-            ],
-        )
-        for statement in self.statements:
-            yield statement.to_text(self.store), statement.rows
-
 
 def explain(store: Store, question_id: str) -> Explanation:
     """Prove a question by statements over the graph.
@@ -111,6 +79,7 @@ def explain(store: Store, question_id: str) -> Explanation:
         StoreError: If the graph is missing or damaged, or the graph or its rules do not fit the question.
         LockedError: If another process writes the graph.
     """
+    refuse_imported(store, "query them with 'jrdb-avr sql'")
     records = [record for record in read_records(store, Validation()) if record.question_id == question_id]
     if not records:
         raise InputError(f"no question {question_id[:40]!r} in {store.path}: jrdb-avr sql 'FROM questions' lists all")
@@ -144,10 +113,3 @@ def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Pro
         proofs.append((proof, sorted({ids[key] for key in source.asked})))
         source.asked.clear()
     return proofs, statements
-
-
-def _fold(text: str) -> str:
-    """Divide a long line at spaces outside of JSON texts. Each line leaves room for a space and a backslash."""
-    guarded = _JSON_TEXT.sub(lambda quoted: quoted[0].replace(" ", "\0"), text)
-    lines = textwrap.wrap(guarded, _WIDTH - 2, break_long_words=False, break_on_hyphens=False)
-    return "\n".join(lines).replace("\0", " ")

@@ -14,6 +14,7 @@ from jrdb_avr.engine.generate.blind import QuestionText, question_texts
 from jrdb_avr.engine.generate.diagnostics import tallies
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.observe.crops import min_crops
+from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
@@ -79,6 +80,7 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
         StoreError: If the store has no questions or no intervals.
         InputError: If nothing can be learned from the other store.
     """
+    refuse_imported(store, "count them with 'jrdb-avr sql'")
     questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
     store.warn_of_training()
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)

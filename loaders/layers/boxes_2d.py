@@ -180,8 +180,7 @@ def box_warnings(boxes: pa.Table) -> list[str]:
         form = "corners (x1, y1, x2, y2)"
     elif _most(y + h > 1.05 * HEIGHT, 0.02):
         form = "centres (x, y, width, height), or like pixels of another picture"
-    expected = f"they are read as left, top, width and height in pixels of a panorama of {WIDTH} x {HEIGHT}"
-    return [f"the 2D boxes look like {form}, but {expected}: convert the file and load again"] if form else []
+    return [f"the 2D boxes look like {form}, not like left, top, width, height in pixels: convert them"] if form else []
 
 
 def _most(mask: Bools, share: float = 0.5) -> bool:

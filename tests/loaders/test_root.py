@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -181,3 +182,11 @@ def test_the_command_takes_folders_and_prints_what_it_found(tmp_path):
     assert CliRunner().invoke(command, [*arguments, "--layer-dir", "2d"]).exit_code == 2
     with pytest.raises(InputError, match="no layer heads"):
         CliRunner().invoke(command, [*arguments, "--layer-dir", "heads=mine"], catch_exceptions=False)
+
+
+@pytest.mark.parametrize("above", ["", "labels"])
+def test_the_folder_of_one_layer_is_no_root(tmp_path, above):
+    write_root(tmp_path, {"yard-1": {"2d": {0: [person(1, (100, 60, 50, 200))]}}}, labels_level=bool(above))
+    with pytest.raises(InputError, match=f"is the folder of one layer: give {re.escape(str(tmp_path))}$"):
+        find_root(tmp_path / above / "labels_2d_stitched")
+    assert [files.sequence for files in find_root(tmp_path).sequences] == ["yard-1"]

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from processes import run
-from worlds import person, write_root
+from worlds import load_world, person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group
 from jrdb_avr.queries.graph.handle import build_graph
@@ -214,6 +214,18 @@ def test_parameters_and_names(store):
     code, out, _ = run("cypher", "--list", "--json")
     assert code == 0
     assert {"who_is_where", "timeline", "busiest_frames", "groups"} <= {row["name"] for row in json.loads(out)}
+
+
+def test_a_frame_without_labels_names_the_nearest(tmp_path):
+    store = load_world(tmp_path, {"yard-1": {"2d": {frame: [person(1, (100, 60, 50, 200))] for frame in (0, 15)}}})
+    for when, rows, hint in (
+        ("frame=15", 1, ""),
+        ("frame=9", 0, "--param frame=15\n"),
+        ("seconds=0.2", 0, "frame=0\n"),
+    ):
+        asked = ("who_is_where", "--store", store.path, "--param", "sequence=yard-1", "--param", when)
+        code, out, err = run("cypher", *asked, "--json")
+        assert (code, len(json.loads(out))) == (0, rows) and err.endswith(hint) and bool(err) == bool(hint)
 
 
 def test_terminal_escapes_are_stripped_from_tables(store):

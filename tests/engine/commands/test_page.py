@@ -12,7 +12,7 @@ from jrdb_avr.engine.cli import COMMANDS
 PAGE = (DOCS / "commands.md").read_text("utf-8")
 HELPS = {
     path: set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", text))
-    for path, text in re.findall(r"^#+ `jrdb-avr ([a-z ]+)`\n\n```text\n(.*?)\n```", PAGE, flags=re.M | re.S)
+    for path, text in re.findall(r"^#+ `jrdb-avr ([a-z -]+)`\n\n```text\n(.*?)\n```", PAGE, flags=re.M | re.S)
 }
 
 
@@ -25,7 +25,7 @@ def test_the_page_is_what_the_commands_say():
 
 def test_every_command_is_on_the_page_with_an_example():
     assert set(COMMANDS) <= HELPS.keys()
-    sections = re.findall(r"^## `jrdb-avr ([a-z]+)`\n(.*?)(?=^## |\Z)", PAGE, flags=re.M | re.S)
+    sections = re.findall(r"^## `jrdb-avr ([a-z-]+)`\n(.*?)(?=^## |\Z)", PAGE, flags=re.M | re.S)
     assert {name for name, _ in sections} == set(COMMANDS)
     for name, text in sections:
         assert f"jrdb-avr {name} " in text.split("Examples:")[-1].split("Example:")[-1], name
@@ -35,7 +35,7 @@ def test_every_command_is_on_the_page_with_an_example():
 def test_docs_name_only_options_that_there_are(path):
     for block in re.findall(r"```(?:console|sh|bash)\n(.*?)```", path.read_text("utf-8"), flags=re.S):
         for line in re.split(r"\n|&&|;|\|", block.replace("\\\n", " ")):
-            called = re.search(r"jrdb-avr (\w+(?: (?:merge|drop))?)(.*)", line.split(" #")[0])
+            called = re.search(r"jrdb-avr ([\w-]+(?: (?:merge|drop))?)(.*)", line.split(" #")[0])
             if called is None:
                 continue
             name = called[1] if called[1] in HELPS else called[1].split()[0]

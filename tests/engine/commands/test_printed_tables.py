@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.console import csv_text, print_rows
-from jrdb_avr.engine.text_table import cell_text
+from jrdb_avr.engine.text_table import cell_text, clean
 
 WORDS = st.lists(st.text("abcXYZ019_.-", min_size=1, max_size=14), max_size=8).map(" ".join)
 CELLS = st.none() | st.integers() | st.floats(allow_nan=False) | st.booleans() | WORDS
@@ -85,6 +85,19 @@ def test_nodes_relations_and_paths_read_as_in_cypher():
     assert cell_text(there) == "(:Person {track: 3})-[:Performs {first: 0.5}]->(:Action {name: sitting[31m})"
     assert cell_text(back) == "(:Action {name: sitting[31m})<-[:Performs {first: 0.5}]-(:Person {track: 3})"
     assert cell_text({"a": [1, None], "b": "x"}) == "{a: [1, ], b: x}"
+
+
+def test_no_part_of_a_cell_is_a_formula_and_hidden_characters_are_shown():
+    texts = ["\uff1d1+1", "\uff0b1", "\uff201", "a;=1+1", "a; @x", "a\t=1", "a\n\uff1d1", ["b;=1"], {"c": ";+1"}]
+    (_, *cells) = csv.reader(io.StringIO(csv_text([{"text": text} for text in texts])))
+    assert [text for (text,) in cells if re.search(r"(^|[;\t\n])[ \n]*[=+\-@\uff1d\uff0b\uff20]", text)] == []
+    # Semicolons and signs inside a text stay as they are.
+    assert csv_text([{"text": "a; b = 1 - 2"}]) == "text\na; b = 1 - 2\n"
+    for code in (0xAD, 0x61C, 0x200B, 0x200D, 0x200E, 0x202E, 0x2060, 0x2066, 0xFEFF, 0xE0041):
+        name = f"a{chr(code)}b"
+        for text in (printed([{"run": name}]), csv_text([{"run": name, "more": [name]}])):
+            assert chr(code) not in text and f"a[U+{code:04X}]b" in text
+    assert clean("é שלום سلام 日本 ✔️") == "é שלום سلام 日本 ✔️"
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@a", "\t=1", "\r=1", "\x00=1", "\r\n-1"])

@@ -15,9 +15,9 @@ from loaded_stores import graphless_store
 from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import run
-from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.question import COLUMNS
 from jrdb_avr.engine.generate.stored_layer import Job
+from jrdb_avr.engine.report.hashes import hash_of
 from jrdb_avr.queries.manifest import SequenceEntry
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules

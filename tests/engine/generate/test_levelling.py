@@ -21,11 +21,11 @@ from jrdb_avr.engine.generate.asked import (
 )
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
-from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.levelling import find_twins, level_choices, make_selector, may_be_twins, select_level
 from jrdb_avr.engine.generate.levels import Level
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.engine.generate.selection import PROFILES, quota_of, select
+from jrdb_avr.engine.report.hashes import hash_of
 from jrdb_avr.schema.choice_labels import may_be_same
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.rules import Rules

@@ -21,21 +21,17 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from environment import ROOT
-from fake_server import BACKBONES, FakeServer, Status, sound
+from fake_server import FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
 from painted import BLIND, FRAMES, POSES, QUESTIONS_ASKED, SEQUENCE, question, write_answers
 from scored_runs import InMemory, journal_lines, opened
 
-from jrdb_avr.agent.simulated.profiles import PERFECT
-from jrdb_avr.agent.simulated.server import simulated_server
-from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.commands.report import score
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.evaluate import default_run_id
-from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.card import is_of_sample
@@ -228,26 +224,6 @@ def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
     assert result.exit_code == 1
     assert [row["run_id"] for row in json.loads(result.stdout)] == ["react-simulated-perfect"]
     assert "react, x: " in result.stderr and "cannot reach the server" in result.stderr
-
-
-def test_the_papers_matrix_is_its_tables(store):
-    """All runs, against one server by URL under the names of the backbones."""
-    with simulated_server(Sight(store), PERFECT) as url:
-        options = ("--store", str(store.path), "--matrix", "paper", "--limit", "1", "--simulated", "--base-url", url)
-        result = CliRunner().invoke(command, [*options, "--json"])
-        part = CliRunner().invoke(command, [*options, "--json", "--resume", "--model", "Qwen/Qwen3-VL-4B-Instruct"])
-    assert result.exception is None, result.output
-    rows = json.loads(result.stdout)
-    assert {(row["n"], row["error"]) for row in rows} == {(1, 0)}
-    runs = [json.loads((store.run_path(row["run_id"]) / "run.json").read_bytes()) for row in rows]
-    main = [(method, model) for model in BACKBONES for method in METHODS[:4]]
-    assert sorted((run["method"], run["model"]) for run in runs) == sorted(
-        [*main, *((method, BACKBONES[-1]) for method in METHODS[4:])]
-    )
-    assert all(run["synthetic"] for run in runs)
-    assert [row["run_id"] for row in json.loads(part.stdout)] == [
-        row["run_id"] for row in rows if "VL-4B" in row["run_id"]
-    ]
 
 
 def test_the_papers_matrix_is_among_the_examples():
