@@ -120,7 +120,6 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """
     import difflib
 
-    names = sorted(valid)
-    if near := difflib.get_close_matches(name, names, 1, 0.5):
+    if near := difflib.get_close_matches(name, names := sorted(valid), 1, 0.5):
         return f": did you mean {near[0]}?"
     return f": there are {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}" if names else ""
