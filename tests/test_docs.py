@@ -235,7 +235,7 @@ def test_a_page_names_only_what_exists(page):
     from jrdb_avr.engine.cli import COMMANDS
 
     text = page.read_text("utf-8")
-    assert set(re.findall(r"jrdb-avr ([a-z]+)", text)) <= set(COMMANDS)
+    assert set(re.findall(r"jrdb-avr ([a-z]+(?:-[a-z]+)*)", text)) <= set(COMMANDS)
     for name in re.findall(r"`((?:schema|loaders|queries|engine|agent|docs|tests)/[\w/.]*)`", text):
         assert (ROOT / name).exists(), name
     for name, anchor in re.findall(r"\]\((?!https?:)([\w/.]*)#?([\w-]*)\)", text):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.rules import LoadRules, Rules, override
@@ -23,7 +23,8 @@ MAX_ROWS: Final = 50
 
 @click.command()
 @click.argument("root", required=False, type=click.Path(path_type=Path))
-@store_option()
+@store_option(required=False)
+@click.option("--fingerprint", type=FILE, help="Only describe the files of ROOT, without annotations, in a JSON file.")
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the annotations in the store.")
 @click.option("--verify", is_flag=True, help="Check that the files of the store are unchanged since 'load' wrote them.")
 @pairs_option(
@@ -37,7 +38,9 @@ MAX_ROWS: Final = 50
 @pairs_option("--rule", "overrides", "Change a rule of loading (see 'rules list'). May be repeated.")
 @executor_option
 @form_option
-def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
+def command(
+    root: Path | None, store: Store | None, strict: bool, workers: Executor, form: RowFormat, **options: Any
+) -> None:
     """Load a copy of JRDB from the folder ROOT into a store. Leave ROOT out with --rebuild or --verify.
 
     JRDB has these layers: stitched 2D boxes (with actions and groups), 3D boxes, social labels, reasoning labels,
@@ -49,14 +52,26 @@ def command(root: Path | None, store: Store, strict: bool, workers: Executor, fo
     graph. It prints the first fault of each part. If a run has written into the graph after 'load', the graph is
     checked by the row counts of its tables instead. The exit code is 1 if there is a fault.
 
-    Example:
+    --fingerprint writes a description of the files, and loads nothing. It has folders, file sizes, keys, types, lengths
+    of lists, label names with counts, and numbers of frames, but no coordinate, track or picture. You may publish it
+    to ask why a copy cannot be loaded.
+
+    Examples:
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
+      jrdb-avr load ~/jrdb/train_dataset_with_activity --fingerprint jrdb.json
     """
+    from jrdb_avr.engine.integrations.fingerprint import renamed_folders
+    from jrdb_avr.engine.integrations.releases import compare_releases
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals
 
     if (root is not None) + options["rebuild"] + options["verify"] != 1:
         raise click.UsageError("give one of ROOT, --rebuild and --verify")
+    if root is not None and options["fingerprint"] is not None:
+        _describe(root, options["fingerprint"])
+        return
+    if store is None:
+        raise click.UsageError("Missing option '--store'.")
     if options["verify"]:
         _verify(store, form)
         return
@@ -73,6 +88,8 @@ def command(root: Path | None, store: Store, strict: bool, workers: Executor, fo
     folders: dict[str, list[str]] = {}
     for layer, folder in options["layer_dirs"]:
         folders.setdefault(layer, []).extend([folder] if folder else [])
+    for line in renamed_folders(root, {root / name for names in folders.values() for name in names}):
+        note(line)
     with progress_bar() as progress:
         result = loading.load(
             root, store, _rules(options["overrides"], LoadRules()), workers, layer_dirs=folders, progress=progress
@@ -89,10 +106,22 @@ def command(root: Path | None, store: Store, strict: bool, workers: Executor, fo
             print_rows(printed, title=title)
             if len(printed) < len(rows):
                 click.echo(f"... {len(rows) - MAX_ROWS:,} more: --csv or --json prints all")
+        if compared := compare_releases(result.reports):
+            print_rows(compared, title="Beside the releases of JRDB")
         click.echo(clean(totals(result.reports)))
     if strict and result.refused:
         note("something was refused or skipped, and --strict is set")
         sys.exit(1)
+
+
+def _describe(root: Path, file: Path) -> None:
+    import msgspec
+
+    from jrdb_avr.engine.integrations.fingerprint import fingerprint
+    from jrdb_avr.queries.files import write_bytes
+
+    write_bytes(file, msgspec.json.format(msgspec.json.encode(fingerprint(root)), indent=1) + b"\n")
+    note(f"wrote {file}: keys, types, counts and frame numbers of {root}, without annotations")
 
 
 def _verify(store: Store, form: RowFormat) -> None:
