@@ -99,6 +99,10 @@ def read_bundle(folder: str | Path, store: Store | None = None) -> Bundle:
         StoreError: If the store has no questions, or if its key is damaged.
     """
     folder = Path(folder)
+    for path in (folder / name for name in (*_LARGEST, _SUMS)):
+        # A link could name any file of the reader, and a pipe could never end.
+        if path.is_symlink() or path.is_fifo():
+            raise InputError(f"{path} is a link or a pipe: copy the bundle with its files (cp -rL)", file=str(path))
     data = {name: read_input(folder / name, largest) for name, largest in _LARGEST.items()}
     sums = read_input(folder / _SUMS, 1 << 12).splitlines()
     for name, content in data.items():
