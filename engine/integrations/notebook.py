@@ -8,19 +8,16 @@ import html
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import pyarrow as pa
 
+from jrdb_avr.engine.integrations.crops import contact_sheet, crops_of_rows, png
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.crops import contact_sheet, crops_of_rows, png
 from jrdb_avr.queries import store as stores
 from jrdb_avr.queries.display import MAX_ROWS, Displayed, Tables
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.schema.errors import InputError, ObserveError, did_you_mean
-
-_SHRINK: Final = 4
-"""A strip shows each fourth pixel of a panorama."""
 
 
 class Store(stores.Store):
@@ -30,12 +27,12 @@ class Store(stores.Store):
     """
 
     def cypher(self, query: str, /, **params: Any) -> Any:
-        """Run a Cypher statement on the graph. Return an Arrow table, as `Rows` that can show crops."""
-        return Rows(self, super().cypher(query, **params), params)
+        """Run a Cypher statement on the graph. Return an Arrow table, as `QueryRows` that can show crops."""
+        return QueryRows(self, super().cypher(query, **params), params)
 
     def sql(self, query: str, /, **params: Any) -> Any:
-        """Run a SQL statement on the Parquet tables. Return an Arrow table, as `Rows` that can show crops."""
-        return Rows(self, super().sql(query, **params), params)
+        """Run a SQL statement on the Parquet tables. Return an Arrow table, as `QueryRows` that can show crops."""
+        return QueryRows(self, super().sql(query, **params), params)
 
     def question(self, question_id: str) -> StoredQuestion:
         """Return a question of the store. Its function `show` displays it in a notebook, with panoramas.
@@ -73,20 +70,19 @@ class StoredQuestion(QuestionRow):
 
     def _repr_html_(self) -> str:
         info = read_sequences(self.store)[self.sequence]
-        observer = Observer(self.store.manifest().image_root, [info])
         named = {int(frame) for frame in re.findall(r"\bframe (\d+)", self.question)}
-        parts = [f"<p><b>{html.escape(self.question)}</b></p><ol>"]
-        parts += [f"<li>{html.escape(choice)}</li>" for choice in self.choices] + ["</ol>"]
+        items = "".join(f"<li>{html.escape(choice)}</li>" for choice in self.choices)
+        parts = [f"<p><b>{html.escape(self.question)}</b></p><ol>{items}</ol>"]
         # Without panoramas, the text is displayed alone.
         with contextlib.suppress(ObserveError):
             for frame in sorted(named & {*info.frames}) or info.frames[:: max(1, len(info.frames) // 2)]:
-                strip = png(observer.panorama(self.sequence, frame)[::_SHRINK, ::_SHRINK])
-                parts.append(f'<p><img alt="" src="data:image/png;base64,{base64.b64encode(strip).decode()}"><br>')
-                parts.append(f"frame {frame}, {frame / info.fps:.1f} s</p>")
+                strip = png(Observer(self.store).panorama(self.sequence, frame)[::4, ::4])
+                source = f"data:image/png;base64,{base64.b64encode(strip).decode()}"
+                parts.append(f'<p><img alt="" src="{source}"><br>frame {frame}, {frame / info.fps:.1f} s</p>')
         return "".join(parts)
 
 
-class Rows(Displayed):
+class QueryRows(Displayed):
     """Rows of a query. Each attribute of the Arrow table works, such as `to_pandas()`."""
 
     def __init__(self, store: stores.Store, table: pa.Table, params: Mapping[str, Any]) -> None:
@@ -94,9 +90,6 @@ class Rows(Displayed):
 
     def __getattr__(self, name: str) -> Any:
         return getattr(vars(self).get("table"), name)
-
-    def __len__(self) -> int:
-        return int(self.table.num_rows)
 
     def __getitem__(self, key: Any) -> Any:
         return self.table[key]
@@ -110,7 +103,7 @@ class Rows(Displayed):
         display(Picture(data=png(contact_sheet([image for _, image in crops]))))
 
     def _summary(self) -> str:
-        return f"{len(self)} rows of {', '.join(self.table.column_names)}"
+        return f"{self.num_rows} rows of {', '.join(self.table.column_names)}"
 
     def _tables(self) -> Tables:
         return {"Rows": self.table.slice(0, MAX_ROWS).to_pylist()}

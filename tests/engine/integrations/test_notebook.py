@@ -41,7 +41,7 @@ def test_a_notebook_shows_a_question_and_the_people_of_rows(small_demo, displaye
     assert asked.question[:20] in html and html.count("<li>") == len(asked.choices)
     assert 1 <= html.count("data:image/png;base64,") == html.count("frame ") - asked.question.count("frame ")
     people = store.cypher("who_is_where", sequence=SEQUENCE, frame=150)
-    assert len(people) == people.num_rows == len(people["track"]) > 3 and repr(people).startswith("<Rows: ")
+    assert people.num_rows == len(people["track"]) > 3 and repr(people).startswith("<QueryRows: ")
     people.show()
     sheet = decoded(displayed.pop())
     assert sheet.shape == (240 * -(-people.num_rows // 6), 1440, 3)
