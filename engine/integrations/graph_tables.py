@@ -14,6 +14,7 @@ import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.files import new_folder, write_bytes
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.catalog import graph_tables
 
@@ -33,14 +34,13 @@ def export_graph(store: Store, folder: Path) -> list[dict[str, Any]]:
         InputError: If the folder is not empty.
     """
     entries: list[dict[str, Any]] = []
-    present = store.query("cypher", "CALL show_tables() RETURN name AS name", {})["name"].to_pylist()
-    with new_folder(folder) as made:
-        tables = [table for table in graph_tables() if table.name in present]
+    with Graph.open(store.graph_path, read_only=True) as graph, new_folder(folder) as made:
+        tables = [table for table in graph_tables() if table.name in graph.tables()]
         keys = {table.name: next(iter(table.columns)) for table in tables if table.ends is None}
 
         def write(name: str, file: str, pattern: str, columns: dict[str, str], about: dict[str, str]) -> None:
             returned = ", ".join(f"{value} AS `{column}`" for column, value in columns.items())
-            rows: pa.Table = store.query("cypher", f"MATCH {pattern} RETURN {returned}", {}, timeout_s=3600)
+            rows: pa.Table = graph.query(f"MATCH {pattern} RETURN {returned}", ordered=False)
             write_table(made / file, rows, rows.schema)
             kinds = {field.name: str(field.type) for field in rows.schema}
             entries.append({"table": name, "file": file, **about, "columns": kinds, "rows": len(rows)})
