@@ -47,7 +47,7 @@ from jrdb_avr.agent.reference.planning import plan_form
 from jrdb_avr.agent.reference.tools import world_schema
 from jrdb_avr.agent.reference.turns import look_schema
 from jrdb_avr.schema.errors import DecodeError, EndpointError, RunStoppedError
-from jrdb_avr.schema.method import Panorama
+from jrdb_avr.schema.method import DIAGNOSTIC, Panorama
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
@@ -56,7 +56,7 @@ CROPS: Final = max(BUDGET, LIMITS.looks)
 
 SENDERS: Final = {
     "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
-    "crops": ("react", "agent-no-world"),
+    "crops": ("react", "agent-no-world", *DIAGNOSTIC),
     "plan": ("agent", "agent-passive"),
 }
 """The methods that need a check, by name of the check."""

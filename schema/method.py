@@ -12,7 +12,7 @@ you do not trust a method, run it on a public store. `export --public` writes su
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,10 @@ Verdict = Literal["certain", "supported", "guess"]
 certain: the world model proves the answer. supported: the answer was read from the person who fits the question best,
 or from the nearest frames that the method observed. guess: every other answer.
 """
+
+
+DIAGNOSTIC: Final = ("random-looks", "given-looks", "given-target")
+"""Diagnostic methods. They measure the cost of searching and seeing, and need answers. They are not ranked."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,27 +15,27 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 BUDGETS = {
-    "schema": 2800,
+    "schema": 2805,
     "loaders": 4900,
     "queries": 2400,
     "engine/generate": 2300,
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1650,
-    "engine/report": 1300,
+    "engine/run": 1740,
+    "engine/report": 1350,
     "engine/pages": 1200,
     "engine/integrations": 900,
     "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,
-    "agent/methods": 530,
+    "agent/methods": 540,
     "agent/simulated": 950,
     "agent": 2750,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 26_750
+TOTAL = 27_000
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 PATTERNS = {

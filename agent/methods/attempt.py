@@ -291,12 +291,13 @@ class Attempt:
                 return reason
         return ""
 
-    def look(self, frame: int, angle: float) -> Observation:
+    def look(self, frame: int, angle: float, given: Observation | None = None) -> Observation:
         """Make a look.
 
         Args:
             frame: The frame.
             angle: The angle in degrees.
+            given: The crop of this look if it is already made, or None.
 
         Returns:
             The crop.
@@ -304,7 +305,8 @@ class Attempt:
         Raises:
             ObserveError: If the picture cannot be made.
         """
-        observation = self._observe(self.task.observe, frame_index=frame, angle_deg=angle)
+        observe = self.task.observe if given is None else lambda **view: given
+        observation = self._observe(observe, frame_index=frame, angle_deg=angle)
         self.made.append((frame, observation.angle_deg))
         return observation
 

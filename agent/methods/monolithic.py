@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, on_panoramas
-from jrdb_avr.agent.methods.requests import FixedContextMethod, frame_list, panorama_parts
+from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, on_panoramas
+from jrdb_avr.agent.methods.requests import FixedContextMethod, panorama_parts
 from jrdb_avr.agent.model.messages import Part
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Panorama, Prediction, Task
@@ -44,8 +44,26 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, fa
     Returns:
         The prediction.
     """
-    text, image = attempt.mode_text, on_panoramas(panoramas)
-    stage = attempt.render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frame_list(panoramas))
+    return answer_pictures(attempt, on_panoramas(panoramas), (*panorama_parts(panoramas), *facts), prompt)
+
+
+def answer_pictures(
+    attempt: Attempt, image: ImageFrame, parts: Sequence[Part], prompt: str, **values: str
+) -> Prediction:
+    """Answer from pictures in one call, or in two calls if the first reply cannot be read.
+
+    Args:
+        attempt: The attempt.
+        image: The pictures that the box may refer to.
+        parts: The pictures with their metadata, and further parts of the user message.
+        prompt: The name of the prompt.
+        **values: Further values of the prompt.
+
+    Returns:
+        The prediction.
+    """
+    text, frames = attempt.mode_text, ", ".join(f"{frame:06d}" for frame in image.frames)
+    stage = attempt.render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frames, **values)
     kept = ParsedReply()
 
     def read(reply: Mapping[str, Any]) -> ParsedReply:
@@ -57,6 +75,6 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, fa
 
     try:
         schema = attempt.final_schema(image.frames)
-        return attempt.prediction(attempt.ask_stage((*panorama_parts(panoramas), *facts), stage, schema, read))
+        return attempt.prediction(attempt.ask_stage(parts, stage, schema, read))
     except DecodeError as error:
         return attempt.prediction(replace(kept, faults=(str(error),)))

@@ -21,6 +21,7 @@ from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, Question
 from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.manifest import is_public
 from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
+from jrdb_avr.schema.method import DIAGNOSTIC
 
 if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import RunResult
@@ -38,7 +39,8 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--method",
     metavar="METHOD",
-    help=f"The method: {', '.join(METHODS)}, or a custom method as FILE.py:NAME or MODULE:NAME.",
+    help=f"The method: {', '.join(METHODS)}; a diagnostic method: {', '.join(DIAGNOSTIC)}; or a custom method as "
+    "FILE.py:NAME or MODULE:NAME.",
 )
 @model_option(" For a custom method without a model, give 'none'.", required=False)
 @field_options(EndpointOptions)

@@ -79,9 +79,9 @@ def score(
     "tables",
     multiple=True,
     metavar="NAME",
-    help="main and twins (default), ablation, pairs, people, epochs, evidence_failures, cost, all, or a "
-    "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg, sequence, or a column of "
-    "imported questions. May be repeated.",
+    help="main and twins (default), iou, gaps, looks, ablation, pairs, people, epochs, evidence_failures, cost, all, "
+    "or a breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg, sequence, or a column "
+    "of imported questions. May be repeated.",
 )
 @click.option("--paper", is_flag=True, help="Print the paper's tables 3 to 6 beside the scores of this store.")
 @click.option(
@@ -180,11 +180,6 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     note(f"scores are percent of n; a box is right from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if any(map(formats.other_counts, rows_of.values())):
         note(f"{formats.MARK} fewer or more questions than most runs; --table pairs compares common questions")
-    if "paper_ablation" in names:
-        from jrdb_avr.engine.report.directions import direction_lines
-
-        for line in direction_lines(result.table("ablation")):
-            note(line)
     if result.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")
 

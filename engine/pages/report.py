@@ -9,10 +9,10 @@ from typing import Final
 import msgspec
 
 from jrdb_avr.engine.pages.page import render
-from jrdb_avr.engine.pages.svg import SQUARE, scatter
+from jrdb_avr.engine.pages.svg import SQUARE, budget_curves, scatter
 from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.comparison import Comparison
-from jrdb_avr.engine.report.formats import filled, for_paper, paper_caption, without_rough
+from jrdb_avr.engine.report.formats import filled, for_paper, paper_caption, with_intervals, without_rough
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
 from jrdb_avr.engine.report.tables import PAPER_TABLES, TOO_FEW, Line
 
@@ -61,6 +61,8 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None,
         ablation=filled(tables["ablation"]),
         causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),
         titles=_TITLES,
+        curves=budget_curves(tables["looks"]),
+        without_bounds=with_intervals,
         apart=distinguishing_settings(runs),
         labels={row["run"]: row["label"] for row in (*tables["main"], *tables["twins"])},
         too_few=TOO_FEW,

@@ -255,6 +255,34 @@ def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
     return dots
 
 
+class CurveDot(NamedTuple):
+    """A dot of a curve: its position, and the run's row of the table `looks`."""
+
+    x: float
+    y: float
+    row: Mapping[str, Any]
+
+
+def budget_curves(rows: Sequence[Mapping[str, Any]]) -> list[list[CurveDot]]:
+    """Lay out curves of the combined score (vertical axis) against the budget of looks (horizontal axis).
+
+    Args:
+        rows: Rows of the table `looks`.
+
+    Returns:
+        The dots of each curve. A smaller budget than the budget of the row before begins a new curve.
+    """
+    side = SQUARE - 2 * _MARGIN
+    most = max((row["looks"] for row in rows), default=1)
+    curves: list[list[CurveDot]] = []
+    for row in rows:
+        if not curves or row["looks"] <= curves[-1][-1].row["looks"]:
+            curves.append([])
+        x, y = _MARGIN + side * row["looks"] / most, SQUARE - _MARGIN - side * row["combined"] / 100
+        curves[-1].append(CurveDot(x, y, row))
+    return curves
+
+
 class _Area(NamedTuple):
     """A rectangle that a dot or a number covers."""
 

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
 from jrdb_avr.engine.report.epochs import epoch_rows
+from jrdb_avr.engine.report.looking import THRESHOLDS, gap_rows, iou_rows, look_rows
 from jrdb_avr.engine.report.people import agreement_rows
 from jrdb_avr.engine.report.run_scores import read_submission, score_runs, write_scores
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
@@ -131,6 +132,13 @@ class Comparison(Displayed):
                 return twin_rows(index, runs)
             case "ablation":
                 return ablation_rows(runs)
+            case "iou":
+                ids = [run.manifest.run_id for run in runs]
+                return iou_rows({iou: _scored(self.store, ids, iou) for iou in THRESHOLDS})
+            case "gaps":
+                return gap_rows(index, runs)
+            case "looks":
+                return look_rows(index, runs)
             case "pairs":
                 return pair_rows(index, runs)
             case "people":

@@ -141,7 +141,7 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
 
 
 def _is_partial(row: Line) -> bool:
-    return "partial" in row["label"]
+    return "partial" in row["label"] or "diagnostic" in row["label"]
 
 
 def _order(pair: tuple[Bundle, Line]) -> tuple[bool, float, float, str, str]:

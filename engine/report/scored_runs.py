@@ -20,6 +20,7 @@ from jrdb_avr.engine.report.truth import is_imported, sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
+from jrdb_avr.schema.method import DIAGNOSTIC
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 
@@ -108,6 +109,7 @@ class ScoredRun:
     def label(self) -> str:
         """Text that marks a run in tables: synthetic, partial if some questions have no prediction, or both."""
         marks, total = ["synthetic"] if self.manifest.synthetic else [], len(self.manifest.question_ids)
+        marks += ["diagnostic"] if self.manifest.method in DIAGNOSTIC else []
         return ", ".join([*marks, f"partial, {self.n} of {total}"] if self.n < total else marks)
 
     @property

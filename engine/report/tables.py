@@ -282,7 +282,9 @@ def _name(run: ScoredRun) -> tuple[str, str, str]:
 
 
 def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
-    """Sort runs by their combined score, the best run first. Partial runs come last, because they cannot be ranked.
+    """Sort runs by their combined score, the best run first.
+
+    Partial and diagnostic runs come last, because they are not ranked.
 
     Args:
         runs: Scored runs.
@@ -291,7 +293,12 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
         The sorted runs. Runs with equal scores are in the order of method, model and run id.
     """
     return sorted(
-        runs, key=lambda run: ("partial" in run.label, -run.scores[:, 2].mean() if run.n else 0.0, *_name(run))
+        runs,
+        key=lambda run: (
+            "partial" in run.label or "diagnostic" in run.label,
+            -run.scores[:, 2].mean() if run.n else 0.0,
+            *_name(run),
+        ),
     )
 
 
@@ -310,7 +317,20 @@ PAPER_TABLES: Final = {
 def tables_of(dimensions: Iterable[str]) -> tuple[str, ...]:
     """Return the names of all tables of questions with labels for these dimensions."""
     paper = PAPER_TABLES if "group" in dimensions else ()
-    return "main", "twins", *dimensions, "ablation", "pairs", "people", "epochs", *RESULTS, *paper
+    return (
+        "main",
+        "twins",
+        *dimensions,
+        "iou",
+        "ablation",
+        "gaps",
+        "looks",
+        "pairs",
+        "people",
+        "epochs",
+        *RESULTS,
+        *paper,
+    )
 
 
 TABLES: Final = tables_of(DIMENSIONS)

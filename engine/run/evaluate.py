@@ -27,12 +27,14 @@ from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.answering import HOPELESS, answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
+from jrdb_avr.engine.run.given import GIVEN, GivenPictures
 from jrdb_avr.engine.run.journal import Finished, world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
     ADVISED,
     BASELINES,
     CHATS,
+    LOOKING,
     METHODS,
     NO_MODEL,
     WORLD_METHODS,
@@ -50,7 +52,7 @@ from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, QueryError, StoreError, warn
-from jrdb_avr.schema.method import ConfigurableMethod, Method
+from jrdb_avr.schema.method import DIAGNOSTIC, ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
 """Columns of `predictions` that `RunResult.row` sums up."""
@@ -158,6 +160,8 @@ def evaluate(
     """
     store = Store.of(store)
     check_options(method, model, options)
+    if method in DIAGNOSTIC and not store.question_path("answers").exists():
+        raise StoreError(f"{method} is diagnostic: it needs the answers of the questions, which {store.path} lacks")
     playing, files, errors = options.method, options.run, _errors(model, options)
     simulated = errors is not None or options.endpoint.simulated
     run_id = name_run(store, method, model, options)
@@ -174,7 +178,11 @@ def evaluate(
             endpoint = stack.enter_context(_connect(run, method, model, options, errors))
             if world is not None:
                 world.repeats = endpoint.repeats
-        player = _make(method, endpoint, world, playing)
+        given = None
+        if method in GIVEN:
+            names = {shown.question_id: row.question_id for shown, row in zip(bench.questions, chosen, strict=True)}
+            given = GivenPictures(store, bench.observer, names, method == "given-target")
+        player = _make(method, endpoint, world, playing, given)
         most = None if files.keep_going or endpoint is None else HOPELESS
         settings = {
             "method": player.settings(),
@@ -227,9 +235,11 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
         InputError: If two arguments or options contradict each other. The message names options as on the command line.
     """
     playing, endpoint, selection = options.method, options.endpoint, options.selection
-    if isinstance(method, str) and method not in METHODS and not is_custom(method):
-        raise InputError(f"{method!r} is not one of {', '.join(METHODS)}, FILE.py:NAME or MODULE:NAME", field="method")
-    if model == NO_MODEL and method in METHODS:
+    built_in = (*METHODS, *DIAGNOSTIC)
+    if isinstance(method, str) and method not in built_in and not is_custom(method):
+        names = ", ".join(built_in)
+        raise InputError(f"{method!r} is not one of {names}, FILE.py:NAME or MODULE:NAME", field="method")
+    if model == NO_MODEL and method in built_in:
         raise InputError(f"--model none: {method} needs a model", field="model")
     if playing.simulate and (profile_of(model) is None or endpoint.base_url is not None):
         raise InputError(
@@ -239,6 +249,8 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
     _errors(model, options)
     if playing.advice == "off" and method != ADVISED:
         raise InputError(f"--advice off works only with the method {ADVISED}", field="advice")
+    if playing.looks is not None and method not in LOOKING:
+        raise InputError(f"--looks works only with {', '.join(LOOKING)}", field="looks")
     if playing.history is not None and method not in CHATS:
         raise InputError(f"--history works only with {' and '.join(CHATS)}", field="history")
     if playing.prompts != "default" and method not in BASELINES:
@@ -267,7 +279,8 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
     if run_id is None:
         advice = "-advice-off" if options.method.advice == "off" else ""
         prompts = "" if options.method.prompts == "default" else f"-{options.method.prompts}"
-        run_id = default_run_id(_name(method) + advice + prompts, model)
+        looks = "" if options.method.looks is None else f"-looks-{options.method.looks}"
+        run_id = default_run_id(_name(method) + advice + prompts + looks, model)
     # Checked before the suffixes are added, because an empty id would be valid with a suffix.
     store.run_path(run_id)
     shard, epoch = options.selection.shard, options.run.epoch
@@ -310,7 +323,11 @@ def _connect(
 
 
 def _make(
-    method: str | Method, endpoint: Endpoint | None, world: WorldModel | None, options: MethodOptions
+    method: str | Method,
+    endpoint: Endpoint | None,
+    world: WorldModel | None,
+    options: MethodOptions,
+    given: GivenPictures | None,
 ) -> ConfigurableMethod:
     """Return the method to run. Raise InputError if the user's own method cannot be imported or made."""
     if not isinstance(method, str):
@@ -318,7 +335,7 @@ def _make(
     if is_custom(method):
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_options"
-    return make_method(method, endpoint.client, endpoint.convention, world, options)
+    return make_method(method, endpoint.client, endpoint.convention, world, options, given)
 
 
 def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextManager[WorldModel | None]:

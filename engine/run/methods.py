@@ -14,14 +14,17 @@ import importlib.util
 import re
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 from jrdb_avr.engine.run.options import DEFAULTS, MethodOptions
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.method import DIAGNOSTIC
 
 if TYPE_CHECKING:
+    from jrdb_avr.agent.methods.diagnostic import Pictures
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
     from jrdb_avr.agent.world.episode import WorldModel
@@ -46,6 +49,9 @@ BASELINES: Final = METHODS[:4]
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send all pictures again in every turn."""
+
+LOOKING: Final = ("react", "agent", "agent-no-world", "random-looks")
+"""Methods with a budget of looks."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write to a world model."""
@@ -88,32 +94,42 @@ def make_method(
     convention: Convention,
     world: WorldModel | None = None,
     options: MethodOptions = DEFAULTS.method,
+    pictures: Pictures | None = None,
 ) -> ConfigurableMethod:
     """Make a built-in method.
 
     Args:
-        name: A name of `METHODS`.
+        name: A name of `METHODS` or `DIAGNOSTIC`.
         chat: The client of the model.
         convention: How the model writes boxes.
         world: The world model, which a method of `WORLD_METHODS` needs.
         options: The options. Options of other methods have no effect.
+        pictures: The function that returns the pictures of a question, which given-looks and given-target need.
 
     Returns:
         The method.
     """
     from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
+    from jrdb_avr.agent.methods.diagnostic import Diagnostic, random_pictures
+    from jrdb_avr.agent.methods.episode import BUDGET
     from jrdb_avr.agent.methods.monolithic import Monolithic
     from jrdb_avr.agent.methods.react import ReAct
     from jrdb_avr.agent.methods.search_recognize import SearchRecognize
+    from jrdb_avr.agent.reference.loop import LIMITS
     from jrdb_avr.agent.reference.method import ReferenceAgent
 
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
         looks, advice = "passive" not in name, options.advice == "on"
-        return ReferenceAgent(chat, convention, world, looks=looks, advice=advice, history=options.history)
+        limits = replace(LIMITS, looks=options.looks or LIMITS.looks)
+        return ReferenceAgent(chat, convention, world, looks, limits, advice, options.history)
     if name == ReAct.name:
-        return ReAct(chat, convention, history=options.history, prompts=options.prompts)
+        return ReAct(chat, convention, options.looks or BUDGET, history=options.history, prompts=options.prompts)
+    if name in DIAGNOSTIC:
+        budget = None if pictures else options.looks or BUDGET
+        shown = pictures or random_pictures(options.looks or BUDGET)
+        return Diagnostic(name, chat, shown, budget, name == "given-target", convention)
     kinds = (Monolithic, ChainOfThought, SearchRecognize)
     return next(kind for kind in kinds if kind.name == name)(chat, convention, prompts=options.prompts)
 

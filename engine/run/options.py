@@ -85,6 +85,14 @@ class MethodOptions(Options):
         "agent-advice-off-MODEL unless --run-id is given.",
         choices=("on", "off"),
     )
+    looks: int | None = option(
+        None,
+        "For react, agent, agent-no-world and random-looks: maximum number of looks per question (default: 24). The "
+        "run is named METHOD-looks-N-MODEL unless --run-id is given.",
+        minimum=1,
+        maximum=48,
+        metavar="N",
+    )
     history: int | None = option(
         None,
         "For react and agent-no-world: send only the last N pictures in each turn, and the frame and angle of each "

@@ -18,6 +18,7 @@ from jrdb_avr.engine.run.methods import WORLD_METHODS
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError, did_you_mean
+from jrdb_avr.schema.method import DIAGNOSTIC
 
 _REASONS: Final = 3
 """Maximum number of reasons per status that `show_run` lists."""
@@ -64,7 +65,7 @@ def _row(store: Store, run_id: str) -> dict[str, Any]:
         "run": run_id,
         "method": manifest.method,
         "model": manifest.model,
-        "label": "synthetic" if manifest.synthetic else "",
+        "label": ", ".join(["synthetic"] * manifest.synthetic + ["diagnostic"] * (manifest.method in DIAGNOSTIC)),
         "state": _state(store, manifest, len(rows)),
         "n": len(manifest.question_ids),
         **{status: counts[status] for status in ("answered", "invalid", "error")},

@@ -16,6 +16,7 @@ from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError
+from jrdb_avr.schema.method import DIAGNOSTIC
 
 NAMES = ["text", "system", "schema", "picture", "panoramas", "crops", "plan", "thinking"]
 NAMES += ["finish", "tokens", "model"]
@@ -388,7 +389,7 @@ def test_a_model_that_loses_count_among_many_crops_is_only_warned_of():
 def test_every_method_has_its_largest_request_tried():
     senders = [*SENDERS["panoramas"], *SENDERS["crops"]]
     # The agent with a world model sends the pictures of one turn at most.
-    assert sorted([*senders, "agent"]) == sorted(METHODS)
+    assert sorted([*senders, "agent"]) == sorted([*METHODS, *DIAGNOSTIC])
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

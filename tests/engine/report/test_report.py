@@ -13,7 +13,6 @@ from scored_runs import BOX, CASES, ELSEWHERE, Benchmark, stored_failures, table
 from jrdb_avr.engine.console import csv_text
 from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.comparison import report, score
-from jrdb_avr.engine.report.directions import direction_lines
 from jrdb_avr.engine.report.formats import cell, for_paper, latex, markdown, paper_caption, with_intervals
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
 from jrdb_avr.engine.report.scored_runs import ScoredRun
@@ -146,26 +145,6 @@ def test_a_synthetic_run_is_beside_the_paper_only_by_order_and_is_called_synthet
     assert texts[-1]["answer"].endswith("] synthetic") and texts[-1]["n"] == "2098 synthetic" and "synthetic" in title
     assert texts[0]["answer"] == texts[0]["n"] == "" and "synthetic" not in paper_caption("paper_main", rows[:-1])
     assert "; the figures of this store are synthetic}" in latex(texts, title)
-
-
-def ablation_of(**combined):
-    """Rows of an ablation with these shares combined; all other scores follow them."""
-    names = {"none": ("off", "off"), "world": ("off", "on"), "active": ("on", "off"), "both": ("on", "on")}
-    found = []
-    for name, share in combined.items():
-        shares = {"answer": share, "evidence": share, "combined": share, "hallucination": 100 - share}
-        active, world_model = names[name]
-        row = {"active": active, "world_model": world_model}
-        found.append(row | {"model": "m", "setting": "", "label": "synthetic"} | shares)
-    return found
-
-
-def test_directions_are_compared_with_the_papers():
-    assert direction_lines(ablation_of(none=10, world=20, active=30)) == []
-    rows = ablation_of(none=10, world=20, active=30, both=40)
-    assert direction_lines(rows) == ["m (synthetic): 16 of 16 directions are the paper's"]
-    (line,) = direction_lines(ablation_of(none=10, world=5, active=30, both=40))
-    assert line.endswith("others: world model, passive: answer, evidence, combined, hallucination")
 
 
 def test_settings_of_one_model_are_told_apart():
