@@ -137,7 +137,7 @@ def _run(
 
 
 def _write_crops(store: Store, rows: list[dict[str, Any]], values: dict[str, Any], folder: Path) -> None:
-    from jrdb_avr.engine.integrations.crops import contact_sheet, crops_of_rows, png
+    from jrdb_avr.engine.pages.crops import contact_sheet, crops_of_rows, png
     from jrdb_avr.queries.files import new_folder, write_bytes
 
     with new_folder(folder) as made:

@@ -12,8 +12,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from jrdb_avr.engine.integrations.crops import contact_sheet, crops_of_rows, png
 from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.crops import contact_sheet, crops_of_rows, png
 from jrdb_avr.queries import store as stores
 from jrdb_avr.queries.display import MAX_ROWS, Displayed, Tables
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
@@ -76,9 +76,8 @@ class StoredQuestion(QuestionRow):
         # Without panoramas, the text is displayed alone.
         with contextlib.suppress(ObserveError):
             for frame in sorted(named & {*info.frames}) or info.frames[:: max(1, len(info.frames) // 2)]:
-                strip = png(Observer(self.store).panorama(self.sequence, frame)[::4, ::4])
-                source = f"data:image/png;base64,{base64.b64encode(strip).decode()}"
-                parts.append(f'<p><img alt="" src="{source}"><br>frame {frame}, {frame / info.fps:.1f} s</p>')
+                data = base64.b64encode(png(Observer(self.store).panorama(self.sequence, frame)[::4, ::4])).decode()
+                parts.append(f'<p><img alt="" src="data:image/png;base64,{data}"><br>frame {frame}</p>')
         return "".join(parts)
 
 
