@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -39,7 +38,7 @@ from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.sql import open_tables, query_tables
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import InputError, StoreError, did_you_mean, warn
 
 
 @dataclass(frozen=True, repr=False)
@@ -375,7 +374,7 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
     def refuse(error: StoreError | InputError) -> None:
         if names:
             raise error
-        warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
+        warn(f"left out: {error}")
 
     # Stored scores are not used, because they may have another IoU threshold. Scoring takes only milliseconds.
     # Repeated names are dropped, because the tables that are SQL queries would count such a run twice.

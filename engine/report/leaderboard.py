@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from jrdb_avr.engine.report.tables import Line, main_rows, score_row
 from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError, warn
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,7 +130,7 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
     def refuse(error: StoreError | InputError) -> None:
         if strict:
             raise error
-        warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
+        warn(f"left out: {error}")
 
     scored = []
     for index, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, refuse)):
