@@ -17,7 +17,6 @@ import base64
 import contextlib
 import os
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -36,7 +35,7 @@ from jrdb_avr.queries.keyframes import keyframe_values, queries_layer, stamp_sta
 from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest, refuse_public
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
-from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError, did_you_mean, warn
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
@@ -177,7 +176,7 @@ class Store(Displayed):
         if record := self.training_set():
             apart = f", disjoint from generation {record[DISJOINT_KEY][:12]}" if record.get(DISJOINT_KEY) else ""
             line = f"{self.path} holds a training set (profile {record[PROFILE_KEY]}{apart}), not a benchmark"
-            warnings.warn(line, AvrWarning, stacklevel=3)
+            warn(line)
 
     def refuse_training(self) -> None:
         """Raise StoreError if the questions are a training set, which must not be published as a benchmark."""

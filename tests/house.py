@@ -25,7 +25,7 @@ BUDGETS = {
     "engine/run": 1740,
     "engine/report": 1320,
     "engine/pages": 1200,
-    "engine/integrations": 850,
+    "engine/integrations": 900,
     "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
@@ -15,7 +14,7 @@ from jrdb_avr.engine.report.scoring import find_questions, is_judged, score_pred
 from jrdb_avr.engine.report.truth import Truth, fit_schema
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError, warn
 from jrdb_avr.schema.tables import RUNS
 
 _COLUMNS: Final = ("question_id", "status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"))
@@ -135,7 +134,7 @@ def score_runs(
         except (StoreError, InputError) as error:
             if strict:
                 raise
-            warnings.warn(f"left out: {error}", AvrWarning, stacklevel=2)
+            warn(f"left out: {error}")
     return scored
 
 

@@ -59,13 +59,8 @@ def played_run(
         settings = {"method": {"budget": BUDGET}, **({"opaque": key_fingerprint(store)} if opaque else {})}
         ids = [question.question_id for question in chosen]
         run.start(method, model, ids, settings, bench.synthetic, selection)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             yield bench, run
-        except KeyboardInterrupt:
-            pass
-        finally:
-            if run.finished:
-                run.finish()
 
 
 def due_questions(bench: Bench, run: Run) -> list[str]:

@@ -9,7 +9,6 @@ DIR/runs/                                             an empty folder for the ru
 from __future__ import annotations
 
 import re
-import warnings
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +20,7 @@ from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.opaque import opaque_ids, opaque_names, rename
 from jrdb_avr.queries.questions import HIDDEN
 from jrdb_avr.queries.store import Store, write_table
-from jrdb_avr.schema.errors import AvrWarning, StoreError
+from jrdb_avr.schema.errors import StoreError, warn
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
@@ -80,7 +79,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
         rules = LoadRules()
         public.write_manifest(Manifest(_IMAGES, rules, rules_hash(rules), {}, {}))
     if copied < len(real):
-        warnings.warn(f"{len(real) - copied} of {len(real)} sequences have no panorama", AvrWarning, stacklevel=2)
+        warn(f"{len(real) - copied} of {len(real)} sequences have no panorama")
     return len(questions)
 
 

@@ -116,7 +116,13 @@ class Run(Journal):
         except ValueError as error:
             raise InputError(f"run {self.run_id!r} cannot be stored: {error}; shorten it", field="method") from None
         check_manifest(self.store, manifest)
+        self.callback(self._finish_stopped)
         return manifest
+
+    def _finish_stopped(self) -> None:
+        """Write the tables of the finished questions if the run stops early."""
+        if self.finished and not self._over:
+            self.finish()
 
     def append(self, entry: Finished) -> None:
         """Append the entry of a finished question to the journal, and return when it is on disk.
