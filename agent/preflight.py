@@ -253,7 +253,7 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     answer = answer_schema("multiple_choice", tuple(map(str, range(1, PANORAMAS + 1))), frames)
     boxes = [Box(1500, 130, 180, 240) if n == 5 else None for n in range(1, PANORAMAS + 1)]
     drawn = [drawn_picture(PANORAMA_SIZE, box) for box in boxes]
-    panoramas = [Panorama("drawn", n, f"{n:06d}", float(n), picture.data) for n, picture in enumerate(drawn, 1)]
+    panoramas = [Panorama("drawn", n, float(n), picture.data) for n, picture in enumerate(drawn, 1)]
     pictures = iter(drawn)
     content = f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)"
     shown = (part if isinstance(part, str) else next(pictures) for part in panorama_parts(panoramas))

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -48,7 +47,7 @@ from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer, ref
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError, warn
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
 
@@ -125,11 +124,9 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             evidence = "sizes of boxes alone" if rules.visibility == "any" else "nearer boxes and group labels"
-            warnings.warn(
+            warn(
                 f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so {evidence} decide "
-                "who is in clear view; generate --require-occlusion skips such sequences",
-                AvrWarning,
-                stacklevel=2,
+                "who is in clear view; generate --require-occlusion skips such sequences"
             )
     return LoadResult([*reports, SequenceReport("", [], warnings=left_out)] if left_out else reports)
 
@@ -171,7 +168,7 @@ def rebuild(
     sightings = {name: store.interval("sightings", name) for name in entries}
     views = [f"{name}: {line}" for name, table in sightings.items() for line in beside_warnings(table)]
     for line in [*left_out, *views]:
-        warnings.warn(line, AvrWarning, stacklevel=2)
+        warn(line)
     return entries
 
 

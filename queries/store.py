@@ -17,14 +17,12 @@ import base64
 import contextlib
 import os
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
@@ -36,7 +34,7 @@ from jrdb_avr.queries.keyframes import keyframe_values, queries_layer, stamp_sta
 from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest, refuse_public
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
-from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError, did_you_mean, warn
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
@@ -177,7 +175,7 @@ class Store(Displayed):
         if record := self.training_set():
             apart = f", disjoint from generation {record[DISJOINT_KEY][:12]}" if record.get(DISJOINT_KEY) else ""
             line = f"{self.path} holds a training set (profile {record[PROFILE_KEY]}{apart}), not a benchmark"
-            warnings.warn(line, AvrWarning, stacklevel=3)
+            warn(line)
 
     def refuse_training(self) -> None:
         """Raise StoreError if the questions are a training set, which must not be published as a benchmark."""
@@ -412,30 +410,16 @@ def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet table, or only given columns. Raises StoreError if the file or a column is missing or broken."""
-    with _parquet(path) as file:
+    with open_parquet(path) as file:
         # Check the columns here. Otherwise the result would lack the column, and the error would appear later.
         if lacking := set(columns or ()) - set(file.schema_arrow.names):
             raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
         return file.read(columns)
 
 
-def read_rows(path: Path, column: str, value: str) -> pa.Table:
-    """Read those rows of a Parquet table that have a given value in a column.
-
-    If no row of a row group has the value, the other columns of the row group are not read. Raises StoreError if the
-    file is missing or broken.
-    """
-    with _parquet(path) as file:
-        parts = [file.schema_arrow.empty_table()]
-        for index in range(file.num_row_groups):
-            if pc.index(file.read_row_group(index, [column])[column], value).as_py() >= 0:
-                group = file.read_row_group(index)
-                parts.append(group.filter(pc.equal(group[column], value)))
-        return pa.concat_tables(parts)
-
-
 @contextlib.contextmanager
-def _parquet(path: Path) -> Iterator[pq.ParquetFile]:
+def open_parquet(path: Path) -> Iterator[pq.ParquetFile]:
+    """Yield an open Parquet file. Raise StoreError if the file is missing, or if it is broken when it is read."""
     try:
         with pq.ParquetFile(path) as file:
             yield file

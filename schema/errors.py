@@ -19,7 +19,10 @@ Errors have attributes, such as the file and the field, so that callers need not
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable
+from traceback import walk_stack
 
 
 class AvrError(Exception):
@@ -97,6 +100,12 @@ class AvrWarning(UserWarning):
     """Warning about something that does not stop the work, such as questions that were left out of a run."""
 
 
+def warn(message: str) -> None:
+    """Issue an AvrWarning that points at the code that called this package."""
+    inside = [str(frame.f_globals.get("__name__")).startswith("jrdb_avr.") for frame, _ in walk_stack(sys._getframe())]
+    warnings.warn(message, AvrWarning, stacklevel=len(inside) + 1 - inside[::-1].index(True))
+
+
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """Suggest valid names for an unknown name.
 
@@ -111,12 +120,6 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """
     import difflib
 
-    names = sorted(valid)
-    near = difflib.get_close_matches(name, names, 1, 0.5)
-    if near:
+    if near := difflib.get_close_matches(name, names := sorted(valid), 1, 0.5):
         return f": did you mean {near[0]}?"
-    return f": there are {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}" if names else ""
-
-
-_NAMED = 12
-"""Maximum number of valid names that a message lists."""
+    return f": there are {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}" if names else ""

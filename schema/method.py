@@ -69,7 +69,7 @@ class SequenceInfo:
     sequence: str
     fps: float
     frame_count: int
-    frames: tuple[int, ...]
+    frames: tuple[int, ...] = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,6 @@ class Observation:
     Attributes:
         sequence: Name of the sequence.
         frame_index: Index of the frame, from 0.
-        frame_id: Index of the frame as a text of six digits.
         timestamp: Time of the frame in seconds after frame 0.
         angle_deg: Panorama angle of the centre of the crop, in degrees.
         fov_deg: Horizontal field of view, in degrees.
@@ -89,12 +88,17 @@ class Observation:
 
     sequence: str
     frame_index: int
-    frame_id: str
     timestamp: float
     angle_deg: float
     fov_deg: float
     left: int
     image: Image = field(repr=False, compare=False)
+
+    def _repr_png_(self) -> bytes:
+        """Return the image as a PNG file, which a notebook displays."""
+        import cv2
+
+        return bytes(cv2.imencode(".png", self.image[..., ::-1])[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +108,12 @@ class Panorama:
     Attributes:
         sequence: Name of the sequence.
         frame_index: Index of the frame, from 0.
-        frame_id: Index of the frame as a text of six digits.
         timestamp: Time of the frame in seconds after frame 0.
         jpeg: Bytes of the JPEG file.
     """
 
     sequence: str
     frame_index: int
-    frame_id: str
     timestamp: float
     jpeg: bytes = field(repr=False, compare=False)
 

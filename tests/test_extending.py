@@ -86,7 +86,7 @@ task = Task(
     question,
     SequenceInfo("s", 15.0, 100, (0, 5)),
     lambda sequence, frame_index, angle_deg: Observation(
-        sequence, frame_index, f"{frame_index:06d}", 0.0, angle_deg, 46.0, 0, np.zeros((480, 480, 3), np.uint8)
+        sequence, frame_index, 0.0, angle_deg, 46.0, 0, np.zeros((480, 480, 3), np.uint8)
     ),
     None,
     lambda step: None,
@@ -95,7 +95,7 @@ task = Task(
 episode = Episode(task)
 seen = episode.observe(5, 180.0)
 schema = episode.answer_schema["properties"]["answer"]
-episode.submit({"angle_deg": 385.0}, [{"frame_id": seen.frame_id, "bbox": [427, 250, 573, 708]}])
+episode.submit({"angle_deg": 385.0}, [{"frame_id": seen.frame_index, "bbox": [427, 250, 573, 708]}])
 prediction = episode.finished()
 stored = encode_answer(prediction.answer)
 print(json.dumps({

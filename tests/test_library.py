@@ -84,7 +84,7 @@ reveal_type(avr.report(store).table("main"))
 reveal_type(avr.load("root", store).refused)
 reveal_type(avr.generate(store, avr.Rules()).faults)
 reveal_type(avr.validate(store).sound)
-reveal_type(avr.Observer.of(store)("s", 0, 180.0).left)
+reveal_type(avr.Observer(store)("s", 0, 180.0).left)
 class Mine:
     name = "mine"
     def answer(self, task: avr.Task) -> avr.Prediction:
@@ -197,8 +197,9 @@ def test_a_method_object_is_evaluated(store):
             return jrdb_avr.Prediction("answered", jrdb_avr.Choice(1))
 
     seen = []
-    with pytest.warns(jrdb_avr.AvrWarning, match="questions are left out"):
+    with pytest.warns(jrdb_avr.AvrWarning, match="questions are left out") as warned:
         run = jrdb_avr.evaluate(store.path, Mine(), progress=lambda *event: seen.append(event))
+    assert warned[0].filename == __file__
     assert run.run_id == "mine-none" and run.row()["answered"] == run.predictions.num_rows == 12
     assert seen[0] == ("mine, none", 0, 12) and seen[-1] == ("mine, none", 12, 12)
     with pytest.raises(jrdb_avr.InputError, match="not one of"):

@@ -57,7 +57,7 @@ class Episode:
 
         episode = Episode(task)
         seen = episode.observe(150, 180.0)
-        episode.submit(2, [{"frame_id": seen.frame_id, "bbox": [427, 250, 573, 708]}])
+        episode.submit(2, [{"frame_id": seen.frame_index, "bbox": [427, 250, 573, 708]}])
         prediction = episode.finished()
     """
 
@@ -146,11 +146,11 @@ class Episode:
 
     # -- moves --------------------------------------------------------------------------------------------------------
 
-    def observe(self, frame: int | str, angle: float) -> Observation:
+    def observe(self, frame: int, angle: float) -> Observation:
         """Make a look.
 
         Args:
-            frame: The frame as a number or a six-digit id.
+            frame: The index of the frame.
             angle: The angle in degrees.
 
         Returns:
@@ -160,8 +160,7 @@ class Episode:
             RefusedError: If the look is refused. The move counts nevertheless.
             ObserveError: If the picture is broken.
         """
-        frame_id = f"{frame:06d}" if isinstance(frame, int) else frame
-        observation = self.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle})
+        observation = self.move({"action": "observe", "angle_deg": angle} | _in_digits({"frame_id": frame}))
         assert observation is not None, "a look that is not refused returns what it shows"
         return observation
 
@@ -169,13 +168,15 @@ class Episode:
         """Submit the final answer.
 
         Args:
-            answer: The answer, in the form that `answer_schema` requires of the key `answer`.
-            evidence: The evidence, in the form that `answer_schema` requires of the key `evidence_bboxes`.
+            answer: The answer, in the form that `answer_schema` requires of the key `answer`. Frames may be numbers.
+            evidence: The evidence, in the form that `answer_schema` requires of the key `evidence_bboxes`. Frames may
+                be numbers.
 
         Raises:
             RefusedError: If the answer is refused. Its readable parts are kept.
         """
-        self.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence})
+        boxes = [_in_digits(part) for part in evidence] if isinstance(evidence, list) else evidence
+        self.move({"action": "answer", "answer": _in_digits(answer), "evidence_bboxes": boxes})
 
     def move(self, move: Mapping[str, Any]) -> Observation | None:
         """Make a move.
@@ -277,3 +278,10 @@ class Episode:
         refusal = "" if self.answered else f"no answer was taken within {len(self.turns)} turns"
         prediction = self.attempt.prediction(replace(self._kept, refusal=refusal))
         return replace(prediction, n_model_calls=len(self.turns))
+
+
+def _in_digits(part: Any) -> Any:
+    """Return a part of a move with frame numbers as six digits, which is the form of replies."""
+    if not isinstance(part, dict):
+        return part
+    return {key: f"{value:06d}" if "frame" in key and type(value) is int else value for key, value in part.items()}

@@ -109,7 +109,7 @@ def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tu
     parts: list[Part] = [episode.text]
     for count, (observation, picture) in enumerate(looks, 1):
         parts += [f"Picture {count}: {metadata_line(observation)}", picture]
-    frames, left = sorted({observation.frame_id for observation, _ in looks}), episode.left
+    frames, left = sorted({f"{observation.frame_index:06d}" for observation, _ in looks}), episode.left
     state = episode.attempt.render(
         "react_state",
         observations=json.dumps([metadata_of(observation) for observation, _ in looks]),

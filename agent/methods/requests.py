@@ -71,7 +71,7 @@ def frame_list(panoramas: Sequence[Panorama]) -> str:
     Returns:
         The ids, separated by commas.
     """
-    return ", ".join(panorama.frame_id for panorama in panoramas)
+    return ", ".join(f"{panorama.frame_index:06d}" for panorama in panoramas)
 
 
 def fixed_settings(n: int) -> dict[str, Any]:

@@ -47,7 +47,7 @@ class SearchRecognize(FixedContextMethod):
             return answer_from(attempt, panoramas, "monolithic")
         # The angle is rounded to 0.001 degrees (0.01 columns), because the prompt must not show rounding errors.
         crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
-        stage = attempt.render("search_recognize_refine", frame_id=crop.frame_id)
+        stage = attempt.render("search_recognize_refine", frame_id=f"{crop.frame_index:06d}")
         try:
             refined = _box(attempt, _crop_parts(crop), stage, on_crop(crop))
         except DecodeError:

@@ -74,8 +74,8 @@ def picture_of(view: Observation | Panorama) -> Picture:
     """
     reference = {"sequence": view.sequence, "frame": view.frame_index, "angle": None}
     if isinstance(view, Panorama):
-        return Picture(f"{view.sequence} {view.frame_id} panorama", view.jpeg, reference)
-    name = f"{view.sequence} {view.frame_id} {view.angle_deg:.12g}"
+        return Picture(f"{view.sequence} {view.frame_index:06d} panorama", view.jpeg, reference)
+    name = f"{view.sequence} {view.frame_index:06d} {view.angle_deg:.12g}"
     return jpeg_picture(name, view.image, reference | {"angle": view.angle_deg})
 
 
@@ -134,7 +134,7 @@ def metadata_of(view: Observation | Panorama) -> dict[str, Any]:
         The frame id and the time in seconds. For a crop also the angle and the width in degrees, and the left column in
             stitched pixels.
     """
-    metadata = {"frame_id": view.frame_id, "timestamp": round(view.timestamp, 3)}
+    metadata = {"frame_id": f"{view.frame_index:06d}", "timestamp": round(view.timestamp, 3)}
     if isinstance(view, Panorama):
         return metadata
     return metadata | {"angle_deg": view.angle_deg, "fov_deg": round(view.fov_deg, 2), "left": view.left}

@@ -18,6 +18,9 @@ from jrdb_avr.engine.commands._options import FILE
 from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.schema.errors import InputError
 
+FILTERS: Final = ("families", "templates", "sequences")
+"""Fields of `QuestionSelection` that keep only questions with certain values."""
+
 _C = TypeVar("_C", bound=Callable[..., Any])
 
 

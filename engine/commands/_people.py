@@ -37,7 +37,7 @@ def labelled_people(store: Store, n: int = PEOPLE) -> list[LabelledPerson]:
     Returns:
         The people. Equal stores give equal people. Moments without panoramas are left out.
     """
-    observer = Observer.of(store)
+    observer = Observer(store)
     people: list[LabelledPerson] = []
     rows = {(row["sequence"], row["track"], row["frame"]): row for row in store.sql(_SIGHTINGS).to_pylist()}
     for (sequence, track, frame), row in rows.items():

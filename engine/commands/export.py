@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 @click.option("--public", type=FOLDER, help="Write a public store: questions and panoramas, but no answers.")
 @click.option("--opaque", is_flag=True, help="With --public: replace the names of sequences by hashes.")
 @click.option("--hf", type=FOLDER, help="Write DIRECTORY/public, to publish on Hugging Face, and DIRECTORY/private.")
+@click.option("--graph", type=FOLDER, help="Write the nodes and edges of the graph as Parquet, with schema.json.")
 @click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
 @click.option("--url", default=HOME, show_default=True, help="With --hf: address of the published questions.")
 def export(
@@ -31,10 +32,11 @@ def export(
     public: Path | None,
     opaque: bool,
     hf: Path | None,
+    graph: Path | None,
     creator: str,
     url: str,
 ) -> None:
-    """Write questions or predictions for other machines and tools.
+    """Write questions, predictions or the graph for other machines and tools.
 
     --public writes a store for methods or machines that must not see the answers. 'evaluate' works on a public store.
     To score a run of a public store, first write the predictions of the run to a file with --jsonl. Then give the file
@@ -47,12 +49,13 @@ def export(
     Examples:
       jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
       jrdb-avr export --store S --public folder --opaque
+      jrdb-avr export --store S --graph folder
       jrdb-avr export --store S react-simulated --jsonl predictions.jsonl
     """
-    if jsonl is hf is public is None:
-        raise click.UsageError("say what to write: --public, --hf or --jsonl")
+    if jsonl is hf is public is graph is None:
+        raise click.UsageError("say what to write: --public, --hf, --graph or --jsonl")
     if (run is None) is (jsonl is not None):
-        raise click.UsageError("--jsonl needs a RUN; --public and --hf take no RUN")
+        raise click.UsageError("--jsonl needs a RUN; --public, --hf and --graph take no RUN")
     if opaque and public is None:
         raise click.UsageError("--opaque is an option of --public")
     if public is not None:
@@ -66,6 +69,11 @@ def export(
 
         published, private = export_folders(store, hf, creator, url)
         note(f"wrote {published}, to be published, and {private}, which is not")
+    if graph is not None:
+        from jrdb_avr.engine.integrations.graph_tables import export_graph
+
+        entries = export_graph(store, graph)
+        note(f"wrote {graph}: {len(entries)} tables with {sum(entry['rows'] for entry in entries):,} rows")
     if jsonl is None or run is None:
         return
     from jrdb_avr.engine.report.prediction_lines import write_lines

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from jrdb_avr.engine.commands._declared import FILTERS, build, field_options
 from jrdb_avr.engine.commands._options import FILE, form_option, page_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
+from jrdb_avr.engine.run.options import QuestionSelection
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("questions", nargs=-1, metavar="[QUESTION]...")
 @store_option()
-@click.option("--sample", type=click.IntRange(1, 1000), help="Show this many random questions instead of QUESTIONs.")
+@field_options(QuestionSelection, *FILTERS)
+@click.option("--sample", type=click.IntRange(1, 1000), help="Show only this many random ones of the questions.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random questions.")
 @page_option("inspect.html")
 @click.option("--import", "decisions", type=FILE, help="Store the decisions from a file that the page saved.")
@@ -28,10 +31,11 @@ def command(
 ) -> None:
     """Write a page on which a reviewer accepts or rejects questions, or store the decisions of a reviewer.
 
-    The page shows the answer, plan, proofs and pictures of each QUESTION (an id). On the page, the key 'a' accepts a
-    question, the key 'r' rejects the question, and the key 'u' undoes the decision. The keys 'j' and 'k' go to the next
-    and the previous question. The keys ',' and '.' go one second back and forward in time. The page saves the decisions
-    as a file for --import.
+    The page shows the answer, plan, proofs and pictures of each QUESTION (an id). Without a QUESTION, it shows the
+    questions of --family, --template and --sequence, or all. On the page, the key 'a' accepts a question, the key 'r'
+    rejects the question, and the key 'u' undoes the decision. The keys 'j' and 'k' go to the next and the previous
+    question. The keys ',' and '.' go one second back and forward in time. The page saves the decisions as a file for
+    --import.
 
     With --import, the command prints how well each pair of reviewers agrees (Cohen's kappa).
 
@@ -40,27 +44,32 @@ def command(
       jrdb-avr inspect --import decisions.json --reviewer ada --store S
     """
     decisions, reviewer = review["decisions"], review["reviewer"]
+    selection = build(QuestionSelection, {**review, "questions": questions})
     if (decisions is None) != (reviewer is None):
         raise click.UsageError("--import and --reviewer go together")
     if decisions is not None:
-        if questions or sample is not None:
-            raise click.UsageError("--import takes no QUESTION and no --sample")
+        if selection.record() or sample is not None:
+            raise click.UsageError("--import selects no questions")
         _import(store, decisions, reviewer.strip(), form)
         return
-    if bool(questions) == (sample is not None):
-        raise click.UsageError("give QUESTION ids or --sample N")
+    if not selection.record() and sample is None:
+        raise click.UsageError("give QUESTION ids, --family, --template, --sequence or --sample N")
 
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.inspect import choose_questions, inspect_page, inspect_questions
     from jrdb_avr.engine.pages.page import write_page
+    from jrdb_avr.engine.run.selection import matching
     from jrdb_avr.queries.display import step_counter
+    from jrdb_avr.queries.questions import read_question_rows
     from jrdb_avr.queries.runs import questions_hash
 
-    chosen = choose_questions(store, questions, sample, seed)
+    chosen = [question.question_id for question in matching(read_question_rows(store), selection)]
+    if sample is not None:
+        chosen = choose_questions(chosen, sample, seed)
     inspected = inspect_questions(store, chosen)
     with progress_bar() as progress:
         advance = step_counter(progress, "inspect", len(inspected))
-        write_page(out, inspect_page(inspected, Observer.of(store), questions_hash(store), advance))
+        write_page(out, inspect_page(inspected, Observer(store), questions_hash(store), advance))
     if form:
         print_data([{"question_id": name} for name in chosen], form)
     note(f"wrote {out}: {len(inspected)} questions")

@@ -54,7 +54,7 @@ def command(
         observation = observer(sequence, frame, angle)
         image, left = observation.image, observation.left
         note(
-            f"{sequence} frame {observation.frame_id}, {observation.timestamp:.2f} s, angle {observation.angle_deg:g}, "
+            f"{sequence} frame {frame:06d}, {observation.timestamp:.2f} s, angle {observation.angle_deg:g}, "
             f"left column {observation.left}, {observation.fov_deg} degrees wide -> {out}"
         )
     if boxes:

@@ -122,9 +122,12 @@ def _members(value: Any) -> str:
     """Return a list of the public methods and properties of a class, each with the first line of its docstring."""
     if not isinstance(value, type):
         return ""
+    # The public Store adds members to a class of the same name.
+    kinds = [kind for kind in reversed(value.__mro__) if kind.__name__ == value.__name__]
+    members = {name: member for kind in kinds for name, member in vars(kind).items()}
     lines = [
         f"- `{name}`: {(inspect.getdoc(member) or '').splitlines()[0]}\n"
-        for name, member in vars(value).items()
+        for name, member in members.items()
         if not name.startswith("_") and (inspect.isroutine(member) or isinstance(member, property)) and member.__doc__
     ]
     return "".join([*lines, "\n"] if lines else [])

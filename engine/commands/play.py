@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.commands._declared import field_options
+from jrdb_avr.engine.commands._declared import FILTERS, build, field_options
 from jrdb_avr.engine.commands._next import scoring_steps
 from jrdb_avr.engine.commands._options import port_option, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @store_option()
 @click.option("--name", default="person", show_default=True, help="Name of the person in the run and in reports.")
 @field_options(RunOptions, "run_id", "resume", "images")
-@field_options(QuestionSelection, "per_template", "limit", "seed")
+@field_options(QuestionSelection, "questions", *FILTERS, "per_template", "limit", "seed")
 @port_option
 def command(store: Store, name: str, run_id: str | None, resume: bool, port: int, **options: Any) -> None:
     """Let a person answer the questions of a store in the browser, and record the answers as a run of method 'human'.
@@ -41,7 +41,7 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
 
     run_id = default_run_id(HUMAN, name) if run_id is None else run_id
     images: Path | None = options.pop("images")
-    selection = QuestionSelection(**options)
+    selection = build(QuestionSelection, {**options, "questions": options["questions"] or ()})
     with (
         warnings_as_notes(),
         played_run(store, HUMAN, name, run_id, questions=selection, resume=resume, images=images) as (bench, run),

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import click
 
 from jrdb_avr.engine.commands._complete import complete_query
-from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
 from jrdb_avr.loaders.inputs import to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
@@ -47,6 +47,12 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
         click.option("--parquet", type=FILE, help="Parquet file to write instead of printing the rows."),
+        click.option(
+            "--crops",
+            type=FOLDER,
+            help="Folder for a picture of each row and a contact sheet, if the rows name sequence, frame, and track or "
+            "the box x, y, w, h. Values of --param fill missing columns.",
+        ),
     ):
         function = decorate(function)
     return function
@@ -126,6 +132,19 @@ def _run(
     except (OverflowError, ValueError) as error:
         raise QueryError(f"the result holds a time that cannot be printed ({error}): cast it to text") from None
     print_rows(rows, columns=table.column_names, form=form)
+    if options["crops"] is not None:
+        _write_crops(_given(store), rows, values, options["crops"])
+
+
+def _write_crops(store: Store, rows: list[dict[str, Any]], values: dict[str, Any], folder: Path) -> None:
+    from jrdb_avr.engine.pages.crops import contact_sheet, crops_of_rows, png
+    from jrdb_avr.queries.files import new_folder, write_bytes
+
+    with new_folder(folder) as made:
+        crops = dict(crops_of_rows(store, rows, values))
+        for name, crop in [*crops.items(), ("sheet.png", contact_sheet([*crops.values()]))]:
+            write_bytes(made / name, png(crop))
+    note(f"wrote {folder}: {len(crops)} crops of {len(rows)} rows, and sheet.png")
 
 
 def _note_frame(store: Store, values: Mapping[str, Any]) -> None:

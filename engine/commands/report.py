@@ -130,8 +130,9 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         return
 
     from jrdb_avr.engine.report import comparison, formats
+    from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
     from jrdb_avr.engine.report.scored_runs import read_index
-    from jrdb_avr.engine.report.tables import PAPER_TABLES, tables_of
+    from jrdb_avr.engine.report.tables import PAPER_TABLES, TOO_FEW, tables_of
     from jrdb_avr.schema.errors import did_you_mean
 
     tables += tuple(PAPER_TABLES) if paper else ()
@@ -174,6 +175,8 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             print_rows(formats.for_paper(name, rows_of[name]), title=title)
         else:
             _print_table(name, rows_of[name], title)
+    if any(row.get("interval") == TOO_FEW for rows in rows_of.values() for row in rows):
+        note(f"{TOO_FEW} in rows with fewer than {LEAST_CLUSTERS} sequences")
     note(f"scores are percent of n; a box is right from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if any(map(formats.other_counts, rows_of.values())):
         note(f"{formats.MARK} fewer or more questions than most runs; --table pairs compares common questions")
@@ -206,7 +209,7 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     cells = with_intervals(rows)
     empty = (column for column in ("label", "setting") if not any(row.get(column) for row in cells))
     # The id of a run already names its method and model.
-    left_out = {"iou", "method", "model", *empty}
+    left_out = {"iou", "interval", "method", "model", *empty}
     plain = [{k: v for k, v in row.items() if _MACRO not in k and k not in left_out} for row in cells]
     print_rows(filled(plain), title=title)
     if name == "main":

@@ -31,5 +31,5 @@ def command(run: str, question: str, store: Store, out: Path) -> None:
     from jrdb_avr.engine.report.traces import Trace
 
     trace = Trace(store, run, question)
-    write_page(out, trace_page(trace, Observer.of(store)))
+    write_page(out, trace_page(trace, Observer(store)))
     note(f"wrote {out}: {len(trace.steps)} steps")

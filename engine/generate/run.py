@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError, warn
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
@@ -167,7 +166,7 @@ def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> lis
         what = f"{len(unclear)} of {len(manifest.sequences)} sequences have no occlusion attributes"
         how = "there boxes decide who is in clear view, so needed people may be hidden"
         line = f"{what} and are skipped" if require_occlusion else f"{what}: {how}; --require-occlusion skips them"
-        warnings.warn(line, AvrWarning, stacklevel=3)
+        warn(line)
     if require_occlusion and len(unclear) == len(manifest.sequences):
         raise StoreError("no sequence has occlusion attributes: generate without --require-occlusion")
     return sorted(manifest.sequences.keys() - set(unclear if require_occlusion else ()))

@@ -143,7 +143,7 @@ class QuestionEnv(gymnasium.Env):
                 frame = episode.frames[_index(action["frame"], len(episode.frames))]
                 self._observed = episode.observe(frame, _angle(action["angle"]))
             else:
-                frame_id = self._observed.frame_id if self._observed is not None else ""
+                frame_id = f"{self._observed.frame_index:06d}" if self._observed is not None else ""
                 box = {"frame_id": frame_id, "bbox": [_index(side, 1001) for side in action["box"]]}
                 episode.submit(self._answer(action["numbers"]), [box])
         except RefusedError as error:

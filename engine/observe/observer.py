@@ -14,13 +14,13 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from jrdb_avr.queries.questions import read_loaded_sequence
 from jrdb_avr.queries.store import Store, safe_sequence
-from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.errors import ObserveError, did_you_mean
 from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
@@ -48,13 +48,26 @@ class Observer:
 
     def __init__(
         self,
-        image_root: str | Path | None,
-        sequences: Iterable[SequenceInfo],
+        source: Store | str | Path | None,
+        sequences: Iterable[SequenceInfo] | None = None,
         *,
         cached: int = CACHED_PANORAMAS,
         folders: Mapping[str, str] | None = None,
     ) -> None:
-        self._root = image_root
+        """Make an observer of all loaded sequences of a store, or of given sequences.
+
+        Args:
+            source: The store, or its folder. If `sequences` is given, the folder of the panoramas.
+            sequences: The sequences. Default: the sequences of the store, which names the folder of the panoramas.
+            cached: Maximum number of decoded panoramas in memory.
+            folders: The name of the folder of each sequence with an opaque name.
+        """
+        if sequences is None:
+            store = Store.of(source or "")
+            source, names = store.manifest().image_root, sorted(store.manifest().sequences)
+            sequences = map(functools.partial(read_loaded_sequence, store), names)
+        self._root = None if source is None else str(source)
+        self._remake = functools.partial(Observer, cached=cached, folders=folders)
         self._folders = {name: safe_sequence(folder) for name, folder in (folders or {}).items()}
         self._sequences = {safe_sequence(info.sequence): info for info in sequences}
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
@@ -63,19 +76,11 @@ class Observer:
         self._strips = functools.lru_cache(max(1, cached))(lambda *key: _Strip(functools.partial(self._decode, *key)))
         self._files = functools.lru_cache(CACHED_FILES)(self._checked_file)
 
-    @classmethod
-    def of(cls, store: Store | str | Path) -> Observer:
-        """Make an observer of all sequences that were loaded into a store.
+    def __reduce__(self) -> Any:
+        return self._remake, (self._root, list(self._sequences.values()))
 
-        Args:
-            store: The store, or its folder.
-
-        Returns:
-            The observer. It reads the panoramas from the folder that the store names.
-        """
-        store = Store.of(store)
-        manifest = store.manifest()
-        return cls(manifest.image_root, [read_loaded_sequence(store, name) for name in sorted(manifest.sequences)])
+    def __repr__(self) -> str:
+        return f"<Observer: {len(self._sequences)} sequences in {self._root}>"
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
         """Return a crop centred on an angle.
@@ -98,7 +103,6 @@ class Observer:
         return Observation(
             sequence=sequence,
             frame_index=frame,
-            frame_id=f"{frame:06d}",
             timestamp=frame / self._sequences[sequence].fps,
             angle_deg=angle,
             fov_deg=round(FOV_DEG, 2),
@@ -135,13 +139,11 @@ class Observer:
             ObserveError: If sequence or frame is invalid, or if the image is missing or broken.
         """
         frame = self._check(sequence, frame_index)
-        return Panorama(
-            sequence, frame, f"{frame:06d}", frame / self._sequences[sequence].fps, self._files(sequence, frame)
-        )
+        return Panorama(sequence, frame, frame / self._sequences[sequence].fps, self._files(sequence, frame))
 
     def _check(self, sequence: str, frame_index: int) -> int:
         if not isinstance(sequence, str) or sequence not in self._sequences:
-            raise ObserveError(f"no sequence {_short(sequence)!r}; there are: {_some(sorted(self._sequences))}")
+            raise ObserveError(f"no sequence {_short(sequence)!r}{did_you_mean(_short(sequence), self._sequences)}")
         try:
             frame = operator.index(frame_index)
         except TypeError:
@@ -302,12 +304,6 @@ def _short(value: object) -> str:
     except ValueError:
         # Python refuses to write integers with more than 4,300 digits.
         return "of thousands of digits"
-
-
-def _some(names: list[str]) -> str:
-    """Return at most thirty names as text for a message."""
-    first = ", ".join(names[:30]) or "none"
-    return first if len(names) <= 30 else f"{first} and {len(names) - 30} more"
 
 
 def _near(frames: tuple[int, ...], target: int) -> str:

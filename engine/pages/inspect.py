@@ -20,7 +20,7 @@ from jrdb_avr.engine.report.truth import refuse_imported
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import Choice
-from jrdb_avr.schema.errors import InputError, ObserveError
+from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
 from jrdb_avr.schema.plan import parse_plan
@@ -43,28 +43,9 @@ _LEAST_CLOSE_UP: Final = 110.0
 # -- questions --------------------------------------------------------------------------------------------------------
 
 
-def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed: int) -> list[str]:
-    """Choose questions to inspect.
-
-    Args:
-        store: The store.
-        ids: Ids of questions to inspect.
-        sample: Number of questions to draw at random instead of `ids`. If it is None, `ids` is used.
-        seed: Seed of the random draw.
-
-    Returns:
-        The ids of the questions, without repetitions.
-
-    Raises:
-        InputError: If the store lacks a question of `ids`.
-    """
-    stored = store.questions("questions")["question_id"].to_pylist()
-    unknown = [name for name in ids if name not in set(stored)]
-    if unknown:
-        raise InputError(f"no question {unknown[0][:40]!r} in {store.path}", field="question_id")
-    if sample is None:
-        return list(dict.fromkeys(ids))
-    return sorted(random.Random(seed).sample(sorted(stored), min(sample, len(stored))))  # noqa: S311 - no secret
+def choose_questions(ids: Sequence[str], sample: int, seed: int) -> list[str]:
+    """Draw questions at random. Return at most `sample` of the ids, in ascending order."""
+    return sorted(random.Random(seed).sample(sorted(ids), min(sample, len(ids))))  # noqa: S311 - no secret
 
 
 def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:

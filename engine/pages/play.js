@@ -20,7 +20,8 @@
   const aim = () => {
     const frame = play.frames[at];
     byId("scrub").value = at;
-    byId("place").textContent = `frame ${frame} · ${(frame / play.fps).toFixed(1)} s · ${angle.toFixed(0)}°`;
+    byId("goto").value = frame;
+    byId("place").textContent = `${(frame / play.fps).toFixed(1)} s · ${angle.toFixed(0)}°`;
     byId("strip").setAttribute("aria-valuenow", angle.toFixed(0));
     byId("window").replaceChildren(
       ...copies(left()).map((x) => drawn("rect", { class: "window", x: x + 5, y: 5, width: CROP - 10, height: CROP - 10 })),
@@ -221,10 +222,22 @@
     ready();
   };
   const move = (own) => send("move", { question_id: play.question_id, move: own });
-  const look = () => move({ action: "observe", frame_id: frameId(play.frames[at]), angle_deg: Math.round(angle * 10) / 10 });
+  const look = () => {
+    const frame_id = frameId(play.frames[at]);
+    const angle_deg = Math.round(angle * 10) / 10;
+    const near = (own) => Math.abs(((own.angle_deg - angle_deg + 540) % 360) - 180) <= 1;
+    if (play.looks.some((own) => own.frame_id === frame_id && near(own)))
+      byId("error").textContent = "You have this picture already (within 1 degree). The repeated look cost nothing.";
+    else move({ action: "observe", frame_id, angle_deg });
+  };
 
   byId("look").addEventListener("click", look);
   byId("scrub").addEventListener("input", () => go(Number(byId("scrub").value)));
+  byId("goto").addEventListener("change", () => {
+    const asked = Number(byId("goto").value);
+    const off = (place) => Math.abs(play.frames[place] - asked);
+    if (asked >= 0) go(play.frames.reduce((best, _, place) => (off(place) < off(best) ? place : best), 0));
+  });
   byId("next").addEventListener("click", () => send("next"));
   byId("answer").addEventListener("input", ready);
   byId("answer").addEventListener("submit", (event) => {
@@ -233,9 +246,10 @@
     const frame_id = play.looks.at(-1).frame_id;
     move({ action: "answer", answer: answer(), evidence_bboxes: [{ frame_id, bbox }] });
   });
-  strip.addEventListener("keydown", (event) => {
+  document.addEventListener("keydown", (event) => {
     const degrees = { ArrowLeft: -5, ArrowRight: 5 }[event.key];
-    if (!degrees || event.ctrlKey || event.metaKey || event.altKey) return;
+    // In the slider and among choices, the arrow keys keep their meaning.
+    if (!degrees || !play || !isShortcut(event) || event.target.closest("input")) return;
     event.preventDefault();
     turn(degrees);
   });

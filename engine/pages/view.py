@@ -22,7 +22,7 @@ from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scored_runs import SCORES, distinguishing_settings
 from jrdb_avr.engine.report.time_grounding import find_pairs
-from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
+from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, read_rows
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
 from jrdb_avr.queries.store import Store, read_table
@@ -169,8 +169,11 @@ class Viewer:
         index = self.questions.index(question)
         near = [self.questions[at] if 0 <= at < len(self.questions) else None for at in (index - 1, index + 1)]
         info = self.sequences[question.sequence]
+        truth = None
+        if self.comparison is not None:
+            (truth,) = read_rows(self.store.question_path("answers"), "question_id", question.question_id).to_pylist()
         shown = (question, info, having, chosen, transcript, self._twins.get(question.question_id))
-        page = question_page(*shown, missing, near, self.pictured, address)
+        page = question_page(*shown, truth, missing, near, self.pictured, address)
         return Response(page.encode("utf-8", "replace"))
 
     def _compare(self, request: Request) -> Response:

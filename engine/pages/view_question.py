@@ -45,6 +45,7 @@ def question_page(
     chosen: Any | None,
     transcript: Transcript | None,
     twin: tuple[QuestionRow, str, str] | None,
+    truth: StoredRow | None,
     missing: str,
     near: Sequence[QuestionRow | None],
     pictured: bool,
@@ -61,6 +62,7 @@ def question_page(
             shown, the record is a `Trace`.
         twin: The time twin of the question, the twin's true answer as JSON, and the question's own. None without a
             twin, or if the page may not show true answers.
+        truth: Row of the question in the table `answers`. None if the page may not show true answers.
         missing: Reason why there is no transcript, or an empty text.
         near: The previous and the next question of the store. None stands for a question that does not exist.
         pictured: Whether the panoramas of the store are available.
@@ -70,8 +72,8 @@ def question_page(
         The HTML.
     """
     trace = transcript if isinstance(transcript, Trace) else None
-    true = None if trace is None else trace.answer["answer"]
-    unit = "" if trace is None else unit_of(trace.answer["plan"])
+    true = None if truth is None else truth["answer"]
+    unit = "" if truth is None else unit_of(truth["plan"])
     mode, fps = question.answer_mode, info.fps
     given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
     if twin is None:

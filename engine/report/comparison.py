@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -39,7 +39,16 @@ from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.sql import open_tables, query_tables
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import InputError, StoreError, did_you_mean
+
+_OF_RUNS: Final = {
+    "twins": twin_rows,
+    "gaps": gap_rows,
+    "looks": look_rows,
+    "pairs": pair_rows,
+    "people": agreement_rows,
+}
+"""Functions of the tables that depend on the questions and the runs alone, by name."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -129,23 +138,15 @@ class Comparison(Displayed):
         match name:
             case "main":
                 return main_rows(index, runs, self.iou)
-            case "twins":
-                return twin_rows(index, runs)
             case "ablation":
                 return ablation_rows(runs)
             case "iou":
                 ids = [run.manifest.run_id for run in runs]
                 return iou_rows({iou: _scored(self.store, ids, iou) for iou in THRESHOLDS})
-            case "gaps":
-                return gap_rows(index, runs)
-            case "looks":
-                return look_rows(index, runs)
-            case "pairs":
-                return pair_rows(index, runs)
-            case "people":
-                return agreement_rows(index, runs)
             case "epochs":
                 return epoch_rows(runs)
+        if name in _OF_RUNS:
+            return _OF_RUNS[name](index, runs)
         if name in PAPER_TABLES:
             return paper_rows(name, index, runs, self.backbone)
         return breakdown_rows(index, runs, name)
@@ -197,9 +198,7 @@ class Comparison(Displayed):
             A `tabular` environment, and notes below it if the table has settings.
         """
         rows = self.table(name)
-        return formats.latex(
-            formats.for_paper(name, rows), formats.paper_caption(name, rows) if name in PAPER_TABLES else ""
-        )
+        return formats.latex(formats.for_paper(name, rows), formats.paper_caption(name, rows))
 
     def _summary(self) -> str:
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"
@@ -371,16 +370,11 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
     if not ids:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
     store.warn_of_training()
-
-    def refuse(error: StoreError | InputError) -> None:
-        if names:
-            raise error
-        warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
-
     # Stored scores are not used, because they may have another IoU threshold. Scoring takes only milliseconds.
     # Repeated names are dropped, because the tables that are SQL queries would count such a run twice.
     runs = [*dict.fromkeys(names or ids)]
-    done = [run for _, run in score_runs(read_truth(store), runs, partial(read_submission, store), iou, refuse)]
+    read = partial(read_submission, store)
+    done = [run for _, run in score_runs(read_truth(store), runs, read, iou, strict=bool(names))]
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate the questions that the store has now")
     return ranked(done)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jrdb_avr.engine.report.scored_runs import SCORES, ScoredRun, percent_of
+from jrdb_avr.engine.report.tables import run_names
 from jrdb_avr.schema.arrays import Ints
 
 
@@ -46,27 +47,21 @@ def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
 def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     shared: Ints = reduce(np.intersect1d, [run.rows for run in epochs])
     n, total = len(shared), len(epochs)
-    indexes = [np.argsort(run.rows)[np.searchsorted(run.rows, shared, sorter=np.argsort(run.rows))] for run in epochs]
+    indexes = [np.searchsorted(run.rows, shared) for run in epochs]
     # The axes of `scores` are epoch, question and score.
     scores = np.stack([run.scores[index] for run, index in zip(epochs, indexes, strict=True)])
     answers = [[run.answers[row] for row in index] for run, index in zip(epochs, indexes, strict=True)]
     right = scores.sum(axis=0)
-    rows = []
+    label = "synthetic" if any(run.manifest.synthetic for run in epochs) else ""
+    head, rows = run_names(epochs[0]) | {"run": name, "label": label}, []
     for k in range(1, total + 1):
         passes = np.array([_pass(total, correct, k) for correct in range(total + 1)])[right].sum(axis=0)
         majority = sum(int(scores[_majority(given), q, 0]) for q, given in enumerate(zip(*answers[:k], strict=True)))
         rows.append(
-            {
-                "run": name,
-                "method": epochs[0].manifest.method,
-                "model": epochs[0].manifest.model,
-                "label": "synthetic" if any(run.manifest.synthetic for run in epochs) else "",
-                "n": n,
-                "epochs": total,
-                "k": k,
-                **{score: percent_of(float(passes[index]), n) for index, score in enumerate(SCORES)},
-                "majority": percent_of(majority, n),
-            }
+            head
+            | {"n": n, "epochs": total, "k": k}
+            | {score: percent_of(float(passes[index]), n) for index, score in enumerate(SCORES)}
+            | {"majority": percent_of(majority, n)}
         )
     return rows
 

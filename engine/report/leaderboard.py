@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from jrdb_avr.engine.report.tables import Line, main_rows, score_row
 from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.errors import StoreError
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,15 +81,12 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
     ranked = []
     for name, scored in sets.items():
         rows = main_rows(index, [run for _, run in scored], iou)
-        pairs = sorted(zip((bundle for bundle, _ in scored), rows, strict=True), key=_order)
-        scores = [row["combined"] for _, row in pairs if not _is_partial(row)]
+        ordered = sorted(((*pair, row) for pair, row in zip(scored, rows, strict=True)), key=_order)
+        scores = [row["combined"] for _, run, row in ordered if run.is_ranked]
         entries = []
-        for bundle, row in pairs:
-            head: Line = {
-                "rank": None if _is_partial(row) else 1 + scores.index(row["combined"]),
-                "questions": name,
-                "bundle": bundle.folder.name,
-            }
+        for bundle, run, row in ordered:
+            rank = 1 + scores.index(row["combined"]) if run.is_ranked else None
+            head: Line = {"rank": rank, "questions": name, "bundle": bundle.folder.name}
             entries.append((bundle, head | row | {"run": bundle.run.run_id}))
         ranked.append(entries)
     ranked.sort(key=lambda entries: (-entries[0][1]["n"], entries[0][0].question_set))
@@ -113,12 +109,8 @@ def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou:
         StoreError: If a bundle answers the questions of another file than the questions file of the store, or if the
             predictions of a bundle do not match the questions of the bundle.
     """
-    return Scores(
-        [
-            score_row(run, iou) | {"run": bundle.run.run_id}
-            for bundle, run in _scored(Store.of(store), folders, iou, strict=True)
-        ]
-    )
+    scored = _scored(Store.of(store), folders, iou, strict=True)
+    return Scores([score_row(run, iou) | {"run": bundle.run.run_id} for bundle, run in scored])
 
 
 def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: bool) -> list[tuple[Bundle, ScoredRun]]:
@@ -128,23 +120,14 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
         bundles[folder] = read_bundle(folder, store)
         return bundle_submission(store, bundles[folder])
 
-    def refuse(error: StoreError | InputError) -> None:
-        if strict:
-            raise error
-        warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
-
     scored = []
-    for index, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, refuse)):
+    for index, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, strict)):
         # Each run gets a unique number as its id, because two bundles may have the same run id.
         run.manifest = msgspec.structs.replace(run.manifest, run_id=str(index))
         scored.append((bundles[folder], run))
     return scored
 
 
-def _is_partial(row: Line) -> bool:
-    return "partial" in row["label"] or "diagnostic" in row["label"]
-
-
-def _order(pair: tuple[Bundle, Line]) -> tuple[bool, float, float, str, str]:
-    bundle, row = pair
-    return _is_partial(row), -row["combined"], -row["answer"], bundle.run.run_id, str(bundle.folder)
+def _order(entry: tuple[Bundle, ScoredRun, Line]) -> tuple[bool, float, float, str, str]:
+    bundle, run, row = entry
+    return not run.is_ranked, -row["combined"], -row["answer"], bundle.run.run_id, str(bundle.folder)

@@ -82,7 +82,7 @@ def _gaps(index: QuestionIndex, compared: Mapping[str, ScoredRun], family: str, 
             for name, run in compared.items()
         }
         row = run_names(compared["active"]) | {"family": family, "score": score, "n": len(among)}
-        row |= {name.replace("-", "_"): percent_of(of.sum(), len(among)) for name, of in right.items()}
+        row |= {name.replace("-", "_"): percent_of(float(of.sum()), len(among)) for name, of in right.items()}
         gaps = {"search_gap": right["given-looks"] - right["active"]}
         gaps |= {"seeing_gap": 1 - right["given-target"]} if "given-target" in right else {}
         for name, gap in gaps.items():

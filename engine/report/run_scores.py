@@ -14,7 +14,7 @@ from jrdb_avr.engine.report.scoring import find_questions, is_judged, score_pred
 from jrdb_avr.engine.report.truth import Truth, fit_schema
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
-from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError, warn
 from jrdb_avr.schema.tables import RUNS
 
 _COLUMNS: Final = ("question_id", "status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"))
@@ -109,7 +109,7 @@ def score_runs(
     sources: Sequence[_Source],
     read: Callable[[_Source], Submission],
     iou: float,
-    refuse: Callable[[StoreError | InputError], None],
+    strict: bool,
 ) -> list[tuple[_Source, ScoredRun]]:
     """Score several runs.
 
@@ -118,18 +118,23 @@ def score_runs(
         sources: Run ids, or folders of bundles.
         read: Function that is called with each source and returns the run of the source.
         iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
-        refuse: Function that is called with the error if a run cannot be scored. If the function returns, the run is
-            left out. If the function raises the error, no further run is scored.
+        strict: Whether a run that cannot be scored is an error. If not, it is left out with an AvrWarning.
 
     Returns:
-        Each source with its scored run, without the sources that cannot be scored.
+        Each source with its scored run.
+
+    Raises:
+        StoreError: If `strict`, and the predictions of a run do not match its questions or the questions of the store.
+        InputError: If `strict`, and a source is broken.
     """
     scored = []
     for source in sources:
         try:
             scored.append((source, score_run(truth, read(source), iou)))
         except (StoreError, InputError) as error:
-            refuse(error)
+            if strict:
+                raise
+            warn(f"left out: {error}")
     return scored
 
 

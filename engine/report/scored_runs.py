@@ -113,6 +113,11 @@ class ScoredRun:
         return ", ".join([*marks, f"partial, {self.n} of {total}"] if self.n < total else marks)
 
     @property
+    def is_ranked(self) -> bool:
+        """Whether the run has a rank. Partial and diagnostic runs have none."""
+        return self.n >= len(self.manifest.question_ids) and self.manifest.method not in DIAGNOSTIC
+
+    @property
     def n(self) -> int:
         """Number of questions of the run that have a prediction."""
         return len(self.rows)

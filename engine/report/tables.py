@@ -292,15 +292,11 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
     Returns:
         The sorted runs. Runs with equal scores are in the order of method, model and run id.
     """
-    return sorted(
-        runs,
-        key=lambda run: (
-            "partial" in run.label or "diagnostic" in run.label,
-            -run.scores[:, 2].mean() if run.n else 0.0,
-            *_name(run),
-        ),
-    )
+    return sorted(runs, key=lambda run: (not run.is_ranked, -run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
+
+_COMPUTED: Final = ("iou", "ablation", "gaps", "looks", "pairs", "people", "epochs")
+"""Names of the computed tables after the dimensions."""
 
 RESULTS: Final = ("evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
@@ -317,20 +313,7 @@ PAPER_TABLES: Final = {
 def tables_of(dimensions: Iterable[str]) -> tuple[str, ...]:
     """Return the names of all tables of questions with labels for these dimensions."""
     paper = PAPER_TABLES if "group" in dimensions else ()
-    return (
-        "main",
-        "twins",
-        *dimensions,
-        "iou",
-        "ablation",
-        "gaps",
-        "looks",
-        "pairs",
-        "people",
-        "epochs",
-        *RESULTS,
-        *paper,
-    )
+    return ("main", "twins", *dimensions, *_COMPUTED, *RESULTS, *paper)
 
 
 TABLES: Final = tables_of(DIMENSIONS)

@@ -6,7 +6,6 @@ has at most one of the two right. As the pairs are few, methods are never ranked
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final
@@ -17,7 +16,7 @@ from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sum
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, percent_of
 from jrdb_avr.engine.report.tables import Line, interval_label, run_names, with_bounds
 from jrdb_avr.schema.arrays import Ints
-from jrdb_avr.schema.errors import AvrWarning
+from jrdb_avr.schema.errors import warn
 
 _DIFFERENT: Final = {"presence": 1 / 4}
 """Share of pairs that a guesser of two different answers has right, by template. In presence the twins share a time, so
@@ -59,7 +58,7 @@ def find_pairs(twin_ids: Sequence[str | None]) -> Ints:
             by_twin[twin].append(position)
     if strays := sorted(twin for twin, positions in by_twin.items() if len(positions) != 2):
         line = f"twin_id {', '.join(strays[:3])}: not on exactly two questions, so left out ({len(strays)} in all)"
-        warnings.warn(f"{line}: run 'jrdb-avr validate'", AvrWarning, stacklevel=2)
+        warn(f"{line}: run 'jrdb-avr validate'")
     return np.array([pair for pair in by_twin.values() if len(pair) == 2], np.int64).reshape(-1, 2)
 
 

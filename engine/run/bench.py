@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from jrdb_avr.queries.opaque import opaque_ids, opaque_names
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError, warn
 from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 
@@ -34,7 +33,7 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 class Bench:
     """Questions of a store with their pictures, for methods, people and agents. Many threads may share a bench.
 
-        bench = Bench.open("store")
+        bench = Bench("store")
         episode = bench.episode(bench.questions[0].question_id)
 
     Attributes:
@@ -46,28 +45,37 @@ class Bench:
         synthetic: Whether at least one question is about the sample world.
     """
 
-    def __init__(self, store: Store, questions: Sequence[QuestionRow], image_root: str | None, opaque: bool) -> None:
-        """Hold questions that are already selected. To select questions, call `Bench.open`.
+    def __init__(
+        self,
+        store: Store | str | Path,
+        questions: Sequence[QuestionRow] | None = None,
+        image_root: str | None = None,
+        opaque: bool = False,
+    ) -> None:
+        """Hold all questions that have panoramas, or given rows. To select questions, call `Bench.open`.
 
         Args:
-            store: The store.
-            questions: The questions.
-            image_root: The folder that has one folder of panoramas per sequence.
+            store: The store, or its folder.
+            questions: The rows of the questions.
+            image_root: The folder that has one folder of panoramas per sequence. It belongs to `questions`.
             opaque: Whether to replace the names of sequences by opaque names.
 
         Raises:
             StoreError: If the store does not list the sequence of a question.
         """
+        store = Store.of(store)
+        if questions is None:
+            image_root = find_images(store, None)
+            questions = select_questions(read_question_rows(store), QuestionSelection(), image_root)
         known_sequences = read_sequences(store)
         if unknown := sorted({question.sequence for question in questions} - known_sequences.keys()):
             raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
         names = opaque_names(store, known_sequences) if opaque else {name: name for name in known_sequences}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in known_sequences.items()}
-        stored = [row.question_id for row in questions]
-        ids = opaque_ids(store, stored) if opaque else dict(zip(stored, stored, strict=True))
+        ids = opaque_ids(store, (row.question_id for row in questions)) if opaque else {}
         self.questions = [
-            replace(row.to_question(), question_id=ids[row.question_id], sequence=names[row.sequence])
-            for row in questions
+            replace(q.to_question(), question_id=ids.get(q.question_id, q.question_id), sequence=names[q.sequence])
+            for q in questions
         ]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}
@@ -198,7 +206,7 @@ def with_grey_pictures(store: Store, image_root: str | None) -> Iterator[str | N
         yield image_root
         return
     shown = f"{len(lacking)} of {len(infos)} sequences have no panoramas"
-    warnings.warn(f"{shown}: the simulated model gets grey pictures of them", AvrWarning, stacklevel=4)
+    warn(f"{shown}: the simulated model gets grey pictures of them")
     with tempfile.TemporaryDirectory() as folder:
         grey = Path(folder, "grey.jpg")
         grey.write_bytes(jpeg_picture("grey", np.full((HEIGHT, WIDTH, 3), _GREY, np.uint8), {}).data)

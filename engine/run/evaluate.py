@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -46,13 +45,12 @@ from jrdb_avr.engine.run.methods import (
     open_world,
 )
 from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
-from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
+from jrdb_avr.engine.run.run import Run, add_world_counts, key_fingerprint, run_questions
 from jrdb_avr.queries.beliefs.graph import open_graph
 from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, QueryError, StoreError
+from jrdb_avr.schema.errors import InputError, QueryError, StoreError, warn
 from jrdb_avr.schema.method import DIAGNOSTIC, ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
@@ -144,7 +142,7 @@ def evaluate(
         progress: Called at the start and after each finished question, with a title, the number of finished questions
             and the number of all questions.
         live_scores: Called from another thread with the scores so far, each time they change.
-        usage: Called after each finished question with a text: the tokens of the run so far, their cost if the price is
+        usage: Called after each finished question with a text: the tokens since the call, their cost if the price is
             known, and the number of repeated requests.
 
     Returns:
@@ -198,27 +196,22 @@ def evaluate(
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         if usage is not None and endpoint is not None:
-            run.listeners.append(_usage_listener(run, endpoint, usage))
+            run.listeners.append(_usage_listener(endpoint, usage))
         advance = step_counter(progress, f"{_name(method)}, {model}", len(chosen))
         see = bench.observer
-        try:
-            answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance, most)
-        except BaseException:
-            if run.finished:
-                run.finish()
-            raise
+        answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance, most)
         if world is not None:
             # The counts are written before the tables, because a run with all its predictions counts as complete.
             add_world_counts(store, run_id, world.graph.counts | {"cpu_ms": round(1000 * sum(world.graph.seconds))})
             _merge_world(run)
         predictions = run.finish()
         for line in [] if endpoint is None else endpoint.changed():
-            warnings.warn(line, AvrWarning, stacklevel=2)
+            warn(line)
     return RunResult(run_id, predictions, manifest.synthetic, options.endpoint.price)
 
 
-def _usage_listener(run: Run, endpoint: Endpoint, usage: Callable[[str], None]) -> Callable[[Finished], None]:
-    """Return a listener of the run that reports the tokens, the cost and the repeated requests so far."""
+def _usage_listener(endpoint: Endpoint, usage: Callable[[str], None]) -> Callable[[Finished], None]:
+    """Return a listener of a run that reports its tokens, cost and repeated requests since the command began."""
     price, sums = endpoint.client.options.price, Counter[str]()
 
     def count(entry: Finished) -> None:
@@ -226,8 +219,6 @@ def _usage_listener(run: Run, endpoint: Endpoint, usage: Callable[[str], None]) 
         cost = "" if price is None else f", {price.cost(*(sums[name] for name in _TOKENS)):.4g} dollars"
         usage(f"{sums.total():,} tokens{cost}, {endpoint.client.retries} retries")
 
-    for entry in run.finished.values():
-        count(entry)
     return count
 
 
@@ -326,7 +317,7 @@ def _connect(
         journal, strict = folder / "calls.jsonl", options.run.strict_preflight
         checked = Endpoint(calibration, model, url, endpoint, journal, _name(method), strict)
         for line in checked.warnings:
-            warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=4)
+            warn(f"preflight: {line}")
         yield checked
 
 
@@ -356,4 +347,4 @@ def _merge_world(run: Run) -> None:
             merge_world(graph, run.run_id, world_rows(run.run_id, run.finished))
     except (StoreError, QueryError) as error:
         text = f"the graph lacks the world models of {run.run_id} ({error})"
-        warnings.warn(f"{text}: repeat the command with --resume to add them", AvrWarning, stacklevel=3)
+        warn(f"{text}: repeat the command with --resume to add them")

@@ -198,7 +198,8 @@ class KeptEntries(Mapping[str, Finished]):
             yield [name for _, name in rows]
 
     def __getitem__(self, question_id: str) -> Finished:
-        position = self._positions[self._aliases.get(question_id, question_id)]
+        stored = question_id if question_id in self._positions else self._aliases.get(question_id, "")
+        position = self._positions[stored]
         path = segment_path(self._folder, position.sequence)
         try:
             with path.open("rb") as file:

@@ -12,8 +12,7 @@ from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.journal import finished_entry, unanswered
 from jrdb_avr.engine.run.options import QuestionSelection
-from jrdb_avr.engine.run.run import Run, run_questions
-from jrdb_avr.queries.opaque import key_fingerprint
+from jrdb_avr.engine.run.run import Run, key_fingerprint, run_questions
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.method import Step
 
@@ -59,13 +58,8 @@ def played_run(
         settings = {"method": {"budget": BUDGET}, **({"opaque": key_fingerprint(store)} if opaque else {})}
         ids = [question.question_id for question in chosen]
         run.start(method, model, ids, settings, bench.synthetic, selection)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             yield bench, run
-        except KeyboardInterrupt:
-            pass
-        finally:
-            if run.finished:
-                run.finish()
 
 
 def due_questions(bench: Bench, run: Run) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections import defaultdict
 from collections.abc import Sequence
 from itertools import count
@@ -13,7 +12,7 @@ from typing import Final
 
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.queries.questions import HIDDEN, QuestionRow
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import InputError, StoreError, did_you_mean, warn
 
 _COLUMNS: Final = {
     "questions": "question_id",
@@ -145,5 +144,5 @@ def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) ->
         raise StoreError(f"no selected question can be asked: {lacking}; select others, or give --images")
     if without:
         left = f"{len(questions) - len(complete)} of {len(questions)} questions are left out: {lacking}"
-        warnings.warn(f"{left}; {len(complete)} can be asked", AvrWarning, stacklevel=4)
+        warn(f"{left}; {len(complete)} can be asked")
     return complete

@@ -94,7 +94,7 @@ def measure(looks, questions):
 
     def observe(sequence, frame_index, angle_deg):
         frame, left = frame_index, int(crop_left(angle_deg))
-        return Observation(sequence, frame, f"{frame:06d}", frame / 15, angle_deg, FOV_DEG, left, image)
+        return Observation(sequence, frame, frame / 15, angle_deg, FOV_DEG, left, image)
 
     def panorama(sequence, frame_index):
         raise AssertionError("no panorama is asked for")

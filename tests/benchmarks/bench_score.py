@@ -34,10 +34,6 @@ def write(path, runs, fold=1):
     return Store(path)
 
 
-def refuse(error):
-    raise error
-
-
 def peak(*arguments):
     """Highest resident megabytes of a command."""
     line = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", *map(str, arguments)]
@@ -57,7 +53,9 @@ def main() -> None:
             peaks[fold] = [peak(stage, "--store", store) for stage in ("score", "report")]
         store = write(f"{folder}/many", many_runs.RUN_COUNT)
         start, started = time.perf_counter(), time.process_time()
-        runs = score_runs(read_truth(store), run_ids(store), lambda name: read_submission(store, name), 0.5, refuse)
+        runs = score_runs(
+            read_truth(store), run_ids(store), lambda name: read_submission(store, name), 0.5, strict=True
+        )
         took, busy = time.perf_counter() - start, time.process_time() - started
     assert len(runs) == many_runs.RUN_COUNT
     count = many_runs.QUESTION_COUNT

@@ -69,7 +69,7 @@ def begin(world, number, record=lambda write: None):
 def write_turn(episode, random_, step):
     frame, angle = random_.choice((60, 60, 75, 120)), random_.uniform(0, 359)
     left = int(crop_left(angle))
-    look = Observation("s", frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, left, None)
+    look = Observation("s", frame, frame / 15, angle, FOV_DEG, left, None)
     name = episode.observed(look, step)
     people = []
     for number in range(1, PEOPLE + 1):

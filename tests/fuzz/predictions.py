@@ -102,10 +102,6 @@ def _import(store, folder, data):
         shutil.rmtree(store.run_path("own"), ignore_errors=True)
 
 
-def _refuse(error):
-    raise error
-
-
 def _score(store, truth, folder, data, run):
     place = Path(folder) / "own"
     place.mkdir(exist_ok=True)
@@ -115,7 +111,7 @@ def _score(store, truth, folder, data, run):
     )
     for name, text in (("run.json", run), ("predictions.jsonl", data), ("SHA256SUMS", sums.encode())):
         (place / name).write_bytes(text)
-    ((_, scored),) = score_runs(truth, [place], lambda own: bundle_submission(store, read_bundle(own)), 0.5, _refuse)
+    ((_, scored),) = score_runs(truth, [place], lambda own: bundle_submission(store, read_bundle(own)), 0.5, True)
     scores = scored.table
     for row in scores.select(["answer_score", "evidence_score", "combined_score"]).to_pylist():
         assert set(row.values()) <= {0, 1}, row

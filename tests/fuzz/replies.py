@@ -191,11 +191,11 @@ def _black():
 
 def _observe(sequence, frame_index, angle_deg):
     seconds, left = frame_index / 15, int(crop_left(angle_deg))
-    return Observation(sequence, frame_index, f"{frame_index:06d}", seconds, angle_deg % 360, FOV_DEG, left, _black())
+    return Observation(sequence, frame_index, seconds, angle_deg % 360, FOV_DEG, left, _black())
 
 
 def _panorama(sequence, frame_index):
-    return Panorama(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, b"\xff\xd8 whole \xff\xd9")
+    return Panorama(sequence, frame_index, frame_index / 15, b"\xff\xd8 whole \xff\xd9")
 
 
 def task_of(rng, number, steps, writes):

@@ -144,11 +144,11 @@ def _observe(sequence, frame_index, angle_deg):
     angle = angle_deg % 360.0
     image = np.zeros((CROP, CROP, 3), np.uint8)
     left = int(crop_left(angle))
-    return Observation(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, angle, FOV_DEG, left, image)
+    return Observation(sequence, frame_index, frame_index / 15, angle, FOV_DEG, left, image)
 
 
 def _panorama(sequence, frame_index):
-    return Panorama(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, b"jpeg")
+    return Panorama(sequence, frame_index, frame_index / 15, b"jpeg")
 
 
 def task_of(mode="multiple_choice", question="What does the woman do?", steps=None, writes=None, name="0" * 16):

@@ -68,11 +68,11 @@ def blank_task(mode="multiple_choice", choices=CHOICES, frames=(0, 5, 10), frame
         looks.append((frame_index, angle_deg))
         # By hand: 3760 columns are 360 degrees, and the crop begins half its width before its centre.
         left = (round(angle_deg / 360 * 3760) - 240) % 3760
-        return Observation(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, angle_deg, 45.96, left, image)
+        return Observation(sequence, frame_index, frame_index / 15, angle_deg, 45.96, left, image)
 
     def panorama(sequence, frame_index):
         looks.append((frame_index, None))
-        return Panorama(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, b"\xff\xd8 whole \xff\xd9")
+        return Panorama(sequence, frame_index, frame_index / 15, b"\xff\xd8 whole \xff\xd9")
 
     question = Question("0" * 16, "s", "What does the person do?", tuple(choices), mode)
     record = ([] if steps is None else steps).append

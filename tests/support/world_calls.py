@@ -45,11 +45,11 @@ SCENE = (
 
 def view(frame, angle):
     image = np.zeros((CROP, CROP, 3), np.uint8)
-    return Observation("s", frame, f"{frame:06d}", frame / 15, float(angle), FOV_DEG, crop_left(angle), image)
+    return Observation("s", frame, frame / 15, float(angle), FOV_DEG, crop_left(angle), image)
 
 
 def whole(frame):
-    return Panorama("s", frame, f"{frame:06d}", frame / 15, b"")
+    return Panorama("s", frame, frame / 15, b"")
 
 
 def question(number):

@@ -229,7 +229,7 @@ def test_one_degree_is_a_duplicate_whatever_rounding_says(tenths, turn):
     image = np.zeros((480, 480, 3), np.uint8)
 
     def observe(sequence, frame_index, angle_deg):
-        return Observation(sequence, frame_index, f"{frame_index:06d}", 0.0, angle_deg, 45.96, 0, image)
+        return Observation(sequence, frame_index, 0.0, angle_deg, 45.96, 0, image)
 
     for beyond, looks in ((0, 1), (1, 2)):
         second = (tenths + turn + (beyond if turn > 0 else -beyond)) % 3600

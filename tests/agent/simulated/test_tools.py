@@ -80,7 +80,7 @@ def test_a_program_with_tools_gets_looks_and_then_the_answer(server, world, in_r
     (box,) = arguments["evidence_bboxes"]
     x1, y1, x2, y2 = (value * 0.48 for value in box["bbox"])
     last = looks[-1]
-    assert box["frame_id"] == last.frame_id
+    assert box["frame_id"] == f"{last.frame_index:06d}"
     assert iou(from_crop(Box(x1, y1, x2 - x1, y2 - y1), last.left), HER) > 0.85
     ids = [call["id"] for message in messages for call in message.get("tool_calls", ())]
     assert len(set(ids)) == len(ids) == len(looks) + 1

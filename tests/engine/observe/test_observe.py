@@ -78,7 +78,6 @@ def test_what_is_said_of_a_crop(observe):
     assert said == {
         "sequence": NAME,
         "frame_index": 15,
-        "frame_id": "000015",
         "timestamp": 1.0,
         "angle_deg": 270.0,
         "fov_deg": 45.96,

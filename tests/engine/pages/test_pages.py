@@ -198,11 +198,20 @@ def inspected(sample_benchmark, tmp_path_factory):
     return path
 
 
-def test_a_sample_is_seeded(sample_benchmark):
+def test_a_sample_is_seeded_and_of_the_filters(sample_benchmark, tmp_path):
     def drawn(seed):
-        return choose_questions(sample_benchmark, (), 3, seed)
+        return choose_questions(ids, 3, seed)
 
+    rows = sample_benchmark.questions("questions").to_pylist()
+    ids = [row["question_id"] for row in rows]
     assert drawn(0) == drawn(0) != drawn(5)
+    base = ("inspect", "--store", sample_benchmark.path, "--out", tmp_path / "page.html", "--json")
+    family = rows[0]["family"]
+    code, out, _ = run(*base, "--family", family, "--sample", 2)
+    shown = {row["question_id"] for row in json.loads(out)}
+    assert code == 0 and len(shown) == 2
+    assert shown <= {row["question_id"] for row in rows if row["family"] == family}
+    assert run(*base)[0] == run(*base, "--family", "none")[0] + 1 == 2
 
 
 def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark, tmp_path):
@@ -438,7 +447,7 @@ def test_a_panorama_is_zoomed_turned_and_shown_again(opened, pictured):
 def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
     code, out, err = run("inspect", "0" * 16, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
     assert (code, out) == (1, "")
-    assert err == f"jrdb-avr: no question '{'0' * 16}' in {sample_benchmark.path}\n"
+    assert err == f"jrdb-avr: question id '{'0' * 16}' is not in the store's questions\n"
 
 
 # -- trace ------------------------------------------------------------------------------------------------------------

@@ -61,6 +61,13 @@ def addresses(viewer, question):
     )
 
 
+def test_the_true_answer_needs_no_run(hostile):
+    store, question = hostile
+    with serving(Viewer(store, None, report(store)).respond) as server:
+        texts = [fetch(server, address("question", id=question, **run))[1] for run in ({}, {"run": "none"})]
+    assert [('id="given"' in text, 'id="true"' in text) for text in texts] == [(True, True), (False, True)]
+
+
 def test_without_answers_nothing_private_is_opened(hostile, tmp_path):
     """Byte for byte the same responses where the private files are gone."""
     store, question = hostile

@@ -112,6 +112,7 @@ def test_gaps_are_paired_differences_in_points():
     row = rows[1]
     assert [row[name] for name in ("active", "random_looks", "given_looks", "given_target")] == [20.0, 10.0, 50.0, 75.0]
     assert (row["search_gap"], row["seeing_gap"], row["n"], row["interval"]) == (30.0, 25.0, 20, "95 %")
+    assert type(row["active"]) is float, "NumPy numbers become texts in JSON"
     assert row["search_gap_low"] <= 30 <= row["search_gap_high"] and len(rows) == 6
     assert gap_rows(benchmark.index, [played(benchmark, "react", 4)]) == []
 

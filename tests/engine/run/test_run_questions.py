@@ -9,6 +9,7 @@ from painted import QUESTIONS_ASKED, SEQUENCE, question, write_public
 from processes import run
 
 from jrdb_avr.engine.run.options import QuestionSelection
+from jrdb_avr.engine.run.overview import list_runs
 from jrdb_avr.engine.run.selection import matching, select_questions
 from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.queries.runs import read_run_manifest
@@ -181,7 +182,7 @@ def test_a_run_that_grows_is_unfinished_until_it_is_answered(store, evaluate, tm
     endless = f"{stop}\n        for _ in range(10**7): task.record(None)"
     file.write_text(METHOD.replace("return self.deeper(task)", endless))
     assert evaluate("--resume", "--limit", "4", "--concurrency", "1")[0] == 130
-    assert not (store.run_path("r") / "predictions.parquet").exists()
+    assert [(row["state"], row["n"], row["invalid"]) for row in list_runs(store)] == [("unfinished", 4, 2)]
     file.write_text(METHOD)
     code, (row,), _, asked = evaluate("--resume")
     assert (code, row["n"], len(asked)) == (0, 4, 2)
