@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -139,21 +140,18 @@ def _plan_row(evaluation: _Evaluation, questions: int, totals: Mapping[str, Tota
     row: dict[str, Any] = {"model": evaluation.model, "method": evaluation.method, "questions": questions}
     for name in ("calls", "pictures", "prompt_tokens", "reply_tokens", "hours", "dollars"):
         digits = 2 if name in ("hours", "dollars") else None
-        total = totals.get(name)
-        values = [None] * 3 if total is None else [round(float(value), digits) for value in total]
+        values = [round(float(value), digits) for value in totals.get(name, ())]
         if not text:
-            row |= dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
-        elif total is not None:
+            row |= zip_longest((name, f"{name}_low", f"{name}_high"), values)
+        elif values:
             row[name] = "{:,} ({:,}–{:,})".format(*values)
     return row
 
 
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
     """Print the most frequent reason of invalid answers, and the most frequent reason of errors."""
-    for status, ending, remedy in (
-        ("invalid", "as invalid", ""),
-        ("error", "in an error", "; run the same command with --resume to ask them again"),
-    ):
+    again = "; run the same command with --resume to ask them again"
+    for status, ending, remedy in (("invalid", "as invalid", ""), ("error", "in an error", again)):
         reason, count = run.commonest_reason(status)
         if count:
             ended = f"{row[status]} of {row['n']} questions ended {ending}, {count} of them because: {reason[:300]}"
@@ -165,9 +163,8 @@ def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
     from jrdb_avr.engine.run.evaluate import name_run
 
     names = [name_run(store, *evaluation) for evaluation in evaluations]
-    for name in names:
-        if names.count(name) > 1:
-            raise click.UsageError(f"two runs are named {name}: give each a [[run]] of its own, with a run-id")
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise click.UsageError(f"two runs are named {repeated[0]}: give each a [[run]] of its own, with a run-id")
 
 
 def _evaluation(values: Mapping[str, Any], plan: bool) -> _Evaluation:

@@ -7,7 +7,6 @@ fixed stages are a run without retries and a run that uses all retries. All othe
 
 from __future__ import annotations
 
-import contextlib
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
@@ -19,8 +18,8 @@ import numpy.typing as npt
 from jrdb_avr.agent.methods.requests import uniform_frames
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
-from jrdb_avr.agent.simulated.profiles import profile_of
 from jrdb_avr.engine.run.bench import find_images, with_grey_pictures
+from jrdb_avr.engine.run.endpoint import declared
 from jrdb_avr.engine.run.options import EvaluateOptions
 from jrdb_avr.engine.run.selection import select_questions
 from jrdb_avr.queries.questions import read_question_rows, read_sequences
@@ -64,9 +63,8 @@ def estimate(store: Store, method: str, model: str, options: EvaluateOptions) ->
     """
     if method not in USAGE:
         raise InputError(f"--plan knows the calls of {', '.join(USAGE)}, not of {method}", field="method")
-    images = find_images(store, options.run.images)
-    simulated = options.endpoint.simulated or profile_of(model) is not None
-    with with_grey_pictures(store, images) if simulated else contextlib.nullcontext(images) as image_root:
+    simulated = declared(model, options.endpoint).simulated
+    with with_grey_pictures(store, find_images(store, options.run.images), simulated) as image_root:
         questions = select_questions(read_question_rows(store), options.selection, image_root)
     frames = {name: len(uniform_frames(info.frames)) for name, info in read_sequences(store).items()}
     totals = question_usage(method, [frames[question.sequence] for question in questions])

@@ -19,7 +19,8 @@ from jrdb_avr.agent.model.messages import metadata_of, picture_of
 from jrdb_avr.agent.model.prompts import mode_text
 from jrdb_avr.engine.local_server import Request, Response
 from jrdb_avr.engine.run.bench import Bench
-from jrdb_avr.engine.run.playing import Play, due_questions
+from jrdb_avr.engine.run.journal import unanswered
+from jrdb_avr.engine.run.playing import Play
 from jrdb_avr.engine.run.run import Run
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -47,7 +48,7 @@ class HumanDesk:
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page
-        self._due = due_questions(bench, run)
+        self._due = [question.question_id for question in unanswered(bench.questions, run.finished)]
         self._play: Play | None = None
         self._observations: list[Observation] = []
         self._lock = threading.Lock()

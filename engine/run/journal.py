@@ -123,10 +123,9 @@ def _check(entry: Finished, question: Question) -> None:
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
         raise ValueError("the method returned or recorded a value that JSON cannot hold unchanged, such as NaN")
-    if row["status"] not in get_args(Status):
-        raise ValueError(f"{row['status']!a} is no status of a prediction"[:120])
-    if row["verdict"] not in (None, *get_args(Verdict)):
-        raise ValueError(f"{row['verdict']!a} is no verdict of a prediction"[:120])
+    for column, values in (("status", get_args(Status)), ("verdict", (None, *get_args(Verdict)))):
+        if row[column] not in values:
+            raise ValueError(f"{row[column]!a} is no {column} of a prediction"[:120])
     if row["answer"] is not None:
         decode_answer(question.answer_mode, row["answer"])
 

@@ -155,8 +155,7 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
             print(_UNKNOWN, flush=True)
             continue
         table = pa.Table.from_pylist([row], RUNS["predictions"])
-        scores = score_predictions(truth, "", [row["question_id"]], table)
-        (score,) = scores.to_pylist()
+        (score,) = score_predictions(truth, "", [row["question_id"]], table).to_pylist()
         digits = (score["answer_score"], score["evidence_score"], score["combined_score"], int(score["invalid"]))
         print("".join(map(str, digits)), flush=True)
 

@@ -140,11 +140,7 @@ class CustomMethod:
             )
         self._spec = spec
         self._method: Method = method
-
-    @property
-    def name(self) -> str:
-        """The name of the method."""
-        return self._method.name
+        self.name = self._method.name
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the method.
@@ -153,8 +149,7 @@ class CustomMethod:
             A dict with two keys. "from" is FILE.py:NAME without the folder of the file, or MODULE:NAME. "settings" is
             what the user's own function `settings()` returns, or an empty dict if there is no such function.
         """
-        settings: Any = getattr(self._method, "settings", dict)()
-        return {"from": Path(self._spec).name, "settings": settings}
+        return {"from": Path(self._spec).name, "settings": getattr(self._method, "settings", dict)()}
 
     def answer(self, task: Task) -> Prediction:
         """Return the method's prediction for one question."""
