@@ -29,7 +29,7 @@ def box(track, frame, x=100.0, decisive=False):
 def observe(sequence, frame_index, angle_deg):
     left = int(crop_left(angle_deg))
     image = np.zeros((480, 480, 3), np.uint8)
-    return Observation(sequence, frame_index, f"{frame_index:06d}", 0.0, angle_deg, 45.96, left, image)
+    return Observation(sequence, frame_index, 0.0, angle_deg, 45.96, left, image)
 
 
 @pytest.fixture
