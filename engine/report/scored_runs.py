@@ -105,6 +105,11 @@ class ScoredRun:
         invalid: Digits = self.table["invalid"].to_numpy().astype(np.int8)
         return invalid
 
+    @cached_property
+    def counts(self) -> Digits:
+        """1 for each question, then its three scores and its value of `invalid`. Shape: (n, 5)."""
+        return np.column_stack([np.ones(self.n, np.int8), self.scores, self.invalid])
+
     @property
     def label(self) -> str:
         """Text that marks a run in tables: synthetic, partial if some questions have no prediction, or both."""
