@@ -6,8 +6,9 @@
     avr.evaluate("store", "react", "simulated", avr.EvaluateOptions(selection=avr.QuestionSelection(limit=20)))
     avr.report("store")
 
-In a script, put these lines under `if __name__ == "__main__":`, because worker processes import the script. The
-module of a public name is imported when the name is first used. `__init__.pyi` lists the public names.
+Scripts, programs from standard input and notebooks need no `if __name__ == "__main__":`, because worker processes do
+not import them. The module of a public name is imported when the name is first used. `__init__.pyi` lists the public
+names.
 
 Each package imports only packages above it in this list, except that `agent` imports only `schema` and `queries`:
 

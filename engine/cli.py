@@ -10,6 +10,7 @@ import importlib
 import inspect
 import os
 import re
+import resource
 import signal
 import sys
 from pathlib import Path
@@ -134,8 +135,12 @@ def main() -> None:
         sys.exit(1)
     except UnicodeEncodeError as error:
         # A file name that is not UTF-8 contains surrogate characters, which cannot be written.
-        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is not Unicode text: use other names", err=True)
-        sys.exit(1)
+        sys.exit(f"jrdb-avr: {ascii(error.object)[:200]} is not Unicode text: use other names")
+    except (MemoryError, ImportError) as error:
+        # A library that does not fit into the address space cannot be imported.
+        if isinstance(error, ImportError) and resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
+            raise
+        sys.exit("jrdb-avr: the memory does not suffice: raise its limit (ulimit -v), or free some memory")
     except OSError as error:
         click.echo(f"jrdb-avr: {error.strerror or error}: {error.filename or ''}", err=True)
         sys.exit(1)

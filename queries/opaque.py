@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
-
-import pyarrow as pa
 
 from jrdb_avr.queries.files import write_once
 from jrdb_avr.queries.questions import sequences_of_questions
@@ -69,31 +67,6 @@ def stored_ids(store: Store) -> dict[str, str]:
     if not key_path(store).exists():
         return {}
     return {opaque: name for name, opaque in opaque_ids(store, sequences_of_questions(store)).items()}
-
-
-def rename(table: pa.Table, column: str, names: Mapping[str, str]) -> pa.Table:
-    """Return a copy of a table. In the copy, a column has new names.
-
-    Args:
-        table: A table that has the column.
-        column: The name of the column. Its values are names, ids or null.
-        names: The new name for each old name.
-
-    Returns:
-        The copy. Its rows and columns are in the same order as in the given table.
-    """
-    renamed = pa.array([name and names[name] for name in table[column].to_pylist()], pa.string())
-    return table.set_column(table.column_names.index(column), table.schema.field(column), renamed)
-
-
-def key_fingerprint(store: Store) -> str:
-    """Return a text that identifies the store's key without revealing the key.
-
-    If the store has no key, write a new key. Raise StoreError if the file with the key is damaged, or if this file
-    cannot be read or written.
-    """
-    # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
-    return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def _key(path: Path) -> bytes:

@@ -23,7 +23,6 @@ from typing import Any, Final, Literal
 
 import msgspec
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
@@ -411,30 +410,16 @@ def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet table, or only given columns. Raises StoreError if the file or a column is missing or broken."""
-    with _parquet(path) as file:
+    with open_parquet(path) as file:
         # Check the columns here. Otherwise the result would lack the column, and the error would appear later.
         if lacking := set(columns or ()) - set(file.schema_arrow.names):
             raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
         return file.read(columns)
 
 
-def read_rows(path: Path, column: str, value: str) -> pa.Table:
-    """Read those rows of a Parquet table that have a given value in a column.
-
-    If no row of a row group has the value, the other columns of the row group are not read. Raises StoreError if the
-    file is missing or broken.
-    """
-    with _parquet(path) as file:
-        parts = [file.schema_arrow.empty_table()]
-        for index in range(file.num_row_groups):
-            if pc.index(file.read_row_group(index, [column])[column], value).as_py() >= 0:
-                group = file.read_row_group(index)
-                parts.append(group.filter(pc.equal(group[column], value)))
-        return pa.concat_tables(parts)
-
-
 @contextlib.contextmanager
-def _parquet(path: Path) -> Iterator[pq.ParquetFile]:
+def open_parquet(path: Path) -> Iterator[pq.ParquetFile]:
+    """Yield an open Parquet file. Raise StoreError if the file is missing, or if it is broken when it is read."""
     try:
         with pq.ParquetFile(path) as file:
             yield file

@@ -12,12 +12,14 @@ import gc
 import logging
 import multiprocessing
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, TypeVar
 
 from jrdb_avr.schema.errors import InputError, StoreError
@@ -96,10 +98,12 @@ def _map_in_processes(
 ) -> Iterator[tuple[int, R]]:
     size = min(workers, len(sequences))
     with ProcessPoolExecutor(size, mp_context=_CONTEXT, initializer=end_with_parent) as pool:
-        futures = {pool.submit(function, sequences[i]): i for i in order}
-        # ProcessPoolExecutor begins to watch a new worker only at the next call of submit(). Without this extra call,
-        # the last worker could die unnoticed while it holds the lock of the queue. The others would wait forever.
-        pool.submit(int)
+        with _without_main():
+            futures = {pool.submit(function, sequences[i]): i for i in order}
+            # ProcessPoolExecutor begins to watch a new worker only at the next call of submit(). Without this extra
+            # call, the last worker could die unnoticed while it holds the lock of the queue. The others would wait
+            # forever.
+            pool.submit(int)
         try:
             for future in as_completed(futures):
                 yield futures[future], future.result()
@@ -179,7 +183,23 @@ def run_alone(function: Callable[[], R]) -> R:
         BrokenProcessPool: If the process died.
     """
     with ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=_become_quiet_worker) as pool:
-        return pool.submit(function).result()
+        with _without_main():
+            future = pool.submit(function)
+        return future.result()
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Hide the main module of the program, so that processes that start inside a `with` block do not import it.
+
+    A script without `if __name__ == "__main__":` would otherwise run again in each of them, and a script from standard
+    input cannot be imported.
+    """
+    main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _become_quiet_worker() -> None:

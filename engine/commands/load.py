@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -11,6 +12,7 @@ import click
 from jrdb_avr.engine.commands._options import FILE, executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.text_table import clean
+from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
@@ -64,6 +66,7 @@ def command(
     from jrdb_avr.engine.integrations.releases import compare_releases
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals
+    from jrdb_avr.queries.graph.database import UNLIMIT
 
     if (root is not None) + options["rebuild"] + options["verify"] != 1:
         raise click.UsageError("give one of ROOT, --rebuild and --verify")
@@ -75,6 +78,9 @@ def command(
     if options["verify"]:
         _verify(store, form)
         return
+    # No limit is -1 or a huge number. Workers that exceed a limit would die with pages of text.
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < 1 << 44:
+        raise StoreError(f"cannot build a graph: {UNLIMIT}")
     if root is None:
         loading.resume(store)
         rules = _rules(options["overrides"], store.manifest().load_rules)

@@ -31,9 +31,10 @@ from jrdb_avr.engine.generate.blind import question_texts
 from jrdb_avr.engine.generate.guessers import COUNTING
 from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
 from jrdb_avr.engine.report.truth import is_imported
+from jrdb_avr.engine.run.public import rename
 from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.files import new_folder, write_bytes
-from jrdb_avr.queries.opaque import key_path, opaque_ids, opaque_names, rename
+from jrdb_avr.queries.opaque import key_path, opaque_ids, opaque_names
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column

@@ -15,9 +15,10 @@ from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE
 from jrdb_avr.engine.report.tables import TABLES
 from jrdb_avr.engine.report.truth import is_imported, is_inside
+from jrdb_avr.engine.run.public import rename
 from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.files import write_once
-from jrdb_avr.queries.opaque import key_path, rename
+from jrdb_avr.queries.opaque import key_path
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import AnswerMode, Evidence

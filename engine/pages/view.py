@@ -22,10 +22,10 @@ from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scored_runs import SCORES, distinguishing_settings
 from jrdb_avr.engine.report.time_grounding import find_pairs
-from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
+from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, read_rows
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
-from jrdb_avr.queries.store import Store, read_rows, read_table
+from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
 
 SCORE_OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")

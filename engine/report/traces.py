@@ -15,7 +15,7 @@ from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scoring import score_predictions
 from jrdb_avr.engine.report.truth import Truth
 from jrdb_avr.queries.runs import read_run_manifest
-from jrdb_avr.queries.store import Store, read_rows
+from jrdb_avr.queries.store import Store, open_parquet
 from jrdb_avr.schema.beliefs import Fact
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import CROP, WIDTH
@@ -24,6 +24,21 @@ StoredRow = Mapping[str, Any]
 
 _DIGITS: Final = 8
 """Exclusive upper limit of the number of digits in a frame id."""
+
+
+def read_rows(path: Path, column: str, value: str) -> pa.Table:
+    """Read those rows of a Parquet table that have a given value in a column.
+
+    If no row of a row group has the value, the other columns of the row group are not read. Raises StoreError if the
+    file is missing or broken.
+    """
+    with open_parquet(path) as file:
+        parts = [file.schema_arrow.empty_table()]
+        for index in range(file.num_row_groups):
+            if pc.index(file.read_row_group(index, [column])[column], value).as_py() >= 0:
+                group = file.read_row_group(index)
+                parts.append(group.filter(pc.equal(group[column], value)))
+        return pa.concat_tables(parts)
 
 
 @dataclass(frozen=True)

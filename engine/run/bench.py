@@ -72,11 +72,10 @@ class Bench:
             raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
         names = opaque_names(store, known_sequences) if opaque else {name: name for name in known_sequences}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in known_sequences.items()}
-        stored = [row.question_id for row in questions]
-        ids = opaque_ids(store, stored) if opaque else dict(zip(stored, stored, strict=True))
+        ids = opaque_ids(store, (row.question_id for row in questions)) if opaque else {}
         self.questions = [
-            replace(row.to_question(), question_id=ids[row.question_id], sequence=names[row.sequence])
-            for row in questions
+            replace(q.to_question(), question_id=ids.get(q.question_id, q.question_id), sequence=names[q.sequence])
+            for q in questions
         ]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}

@@ -45,11 +45,10 @@ from jrdb_avr.engine.run.methods import (
     open_world,
 )
 from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
-from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
+from jrdb_avr.engine.run.run import Run, add_world_counts, key_fingerprint, run_questions
 from jrdb_avr.queries.beliefs.graph import open_graph
 from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, QueryError, StoreError, warn
 from jrdb_avr.schema.method import DIAGNOSTIC, ConfigurableMethod, Method

@@ -86,9 +86,8 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
     if public := first.questions_sha256 == questions_hash(store, opaque):
         ids_of = dict(zip(opaque.values(), opaque, strict=True))
         rows = sorted((dataclasses.replace(row, question_id=ids_of[row.question_id]) for row in rows), key=_id)
-    questions = questions_hash(store, opaque if public else None)
     for manifest, (selection, (_, shard_count)) in zip(manifests, shards, strict=True):
-        if manifest.questions_sha256 != questions:
+        if manifest.questions_sha256 != questions_hash(store, opaque if public else None):
             raise StoreError(f"run {manifest.run_id!r} has other questions than the store has now")
         sizes = "selection" if selection != whole else "number of shards" if shard_count != count else ""
         if what := find_difference(first, manifest) or sizes:

@@ -12,8 +12,7 @@ from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.journal import finished_entry, unanswered
 from jrdb_avr.engine.run.options import QuestionSelection
-from jrdb_avr.engine.run.run import Run, run_questions
-from jrdb_avr.queries.opaque import key_fingerprint
+from jrdb_avr.engine.run.run import Run, key_fingerprint, run_questions
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.method import Step
 

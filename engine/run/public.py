@@ -9,6 +9,7 @@ DIR/runs/                                             an empty folder for the ru
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +18,7 @@ import pyarrow as pa
 from jrdb_avr.engine.run.bench import find_images
 from jrdb_avr.queries.files import new_folder
 from jrdb_avr.queries.manifest import Manifest
-from jrdb_avr.queries.opaque import opaque_ids, opaque_names, rename
+from jrdb_avr.queries.opaque import opaque_ids, opaque_names
 from jrdb_avr.queries.questions import HIDDEN
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.errors import StoreError, warn
@@ -81,6 +82,21 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
     if copied < len(real):
         warn(f"{len(real) - copied} of {len(real)} sequences have no panorama")
     return len(questions)
+
+
+def rename(table: pa.Table, column: str, names: Mapping[str, str]) -> pa.Table:
+    """Return a copy of a table. In the copy, a column has new names.
+
+    Args:
+        table: A table that has the column.
+        column: The name of the column. Its values are names, ids or null.
+        names: The new name for each old name.
+
+    Returns:
+        The copy. Its rows and columns are in the same order as in the given table.
+    """
+    renamed = pa.array([name and names[name] for name in table[column].to_pylist()], pa.string())
+    return table.set_column(table.column_names.index(column), table.schema.field(column), renamed)
 
 
 def _copy_pictures(source: Path, target: Path, frames: list[int]) -> bool:

@@ -19,7 +19,7 @@ from jrdb_avr.engine.report.bundle import check_size
 from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, with_id, write_tables
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import matching, select_questions
-from jrdb_avr.queries.opaque import stored_ids
+from jrdb_avr.queries.opaque import opaque_names, stored_ids
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -30,9 +30,6 @@ _ACCESS: Final = (
     *("rpm", "tpm", "price", "max_cost"),
 )
 """Settings of an endpoint that do not influence replies, such as its address."""
-
-_LEVELS: Final = 22
-"""Maximum depth of the settings of a new run: 20 levels of a custom method's settings, and two around them."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
 """Settings that are empty if the server was too busy to report them. An empty value counts as equal to any other."""
@@ -61,8 +58,7 @@ class Run(Journal):
             StoreError: If the journal is damaged, if it cannot be written, or if it has answers but no manifest.
         """
         folder = store.run_path(run_id)
-        self._stored_ids = stored_ids(store)
-        super().__init__(journal_folder(folder), sequences_of_questions(store), self._stored_ids)
+        super().__init__(journal_folder(folder), sequences_of_questions(store), stored_ids(store))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False
@@ -112,7 +108,8 @@ class Run(Journal):
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
         try:
-            check_size(manifest, _LEVELS)
+            # A custom method's settings may have 20 levels. Two are around them.
+            check_size(manifest, 22)
         except ValueError as error:
             raise InputError(f"run {self.run_id!r} cannot be stored: {error}; shorten it", field="method") from None
         check_manifest(self.store, manifest)
@@ -134,7 +131,7 @@ class Run(Journal):
             StoreError: If writing fails, or if `finish` has already been called. For example, a player's last move may
                 arrive while the run ends.
         """
-        if stored := self._stored_ids.get(entry.question_id):
+        if stored := self._aliases.get(entry.question_id):
             entry = with_id(entry, stored)
         with self._writing:
             if self._over:
@@ -207,6 +204,16 @@ def find_difference(first: RunManifest, second: RunManifest) -> str:
         if pair[0] != pair[1] and not (what in _MAY_BE_EMPTY and "" in pair):
             return what
     return ""
+
+
+def key_fingerprint(store: Store) -> str:
+    """Return a text that identifies the store's key without revealing the key.
+
+    If the store has no key, write a new key. Raise StoreError if the file with the key is damaged, or if this file
+    cannot be read or written.
+    """
+    # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
+    return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> None:

@@ -33,6 +33,9 @@ from jrdb_avr.schema.errors import LockedError, QueryError, StoreError, did_you_
 _MEMORY_BYTES: Final = 1 << 30
 """Address space of an in-memory database, in bytes. The engine's default of 8 TiB allows only a few databases."""
 
+UNLIMIT: Final = "the graph engine reserves 16 TB of addresses: run 'ulimit -v unlimited', then this command again"
+"""Advice if the address space is limited."""
+
 _registry: dict[Path | None, SharedDatabase] = {}
 _registry_lock = threading.Lock()
 
@@ -43,7 +46,7 @@ def engine() -> Any:
         raise StoreError(f"JRDB_AVR_ENGINE is {ENGINE}: give {' or '.join(ENGINES.values())}")
     try:
         return importlib.import_module(ENGINE)
-    except ImportError:
+    except ModuleNotFoundError:
         raise StoreError(f"JRDB_AVR_ENGINE={ENGINE} is not installed: pip install 'jrdb-avr[{ENGINE}]'") from None
 
 
@@ -147,7 +150,8 @@ def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
             return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
-                raise StoreError(f"cannot open {path} ({shorten(str(error))}): {describe_rebuild(path)}") from None
+                advice = UNLIMIT if "Mmap for size" in str(error) else describe_rebuild(path)
+                raise StoreError(f"cannot open {path} ({shorten(str(error))}): {advice}") from None
         # The kernel releases the lock on `<path>.lock` of a killed process shortly before the lock of the engine.
         if time.monotonic() > end:
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
@@ -175,7 +179,8 @@ def translate_error(
         damage = f"{path} is cut short" if path else "the graph file is cut short"
         return StoreError(f"{damage}: {describe_rebuild(path)}" if path else damage)
     if "Buffer manager exception" in message:
-        return QueryError(f"needs more memory than its limit: narrow it (by sequence): {shorten(text)}")
+        advice = UNLIMIT if "Mmap for size" in message else "narrow it (by sequence)"
+        return QueryError(f"{shorten(text) or 'the graph'} needs more memory than its limit: {advice}")
     if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
         return StoreError(f"cannot write the graph: {shorten(message)}; free some space and load again")
     if unknown := re.search(r"Table (\w+) does not exist", message):

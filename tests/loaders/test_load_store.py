@@ -6,8 +6,11 @@ import hashlib
 import json
 import os
 import random
+import re
 import resource
 import shutil
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -347,3 +350,12 @@ def test_terminal_escapes_of_a_file_are_not_printed(tmp_path):
 def test_reports_of_nothing_loadable_name_the_reason(tmp_path):
     with pytest.raises(AvrError, match="not UTF-8"):
         load_reported(tmp_path, {"yard-1": {"2d": b"\xff\xfe"}})
+
+
+@pytest.mark.parametrize("gigabytes", [0.4, 1, 16])
+def test_a_limited_address_space_is_told_in_a_line(tmp_path, gigabytes):
+    store = load_world(tmp_path, {"yard-2020-01-01_0": GOOD})
+    for command in (("load", tmp_path / "root"), ("load", "--rebuild"), ("cypher", "RETURN 1 AS n")):
+        limited = ["prlimit", f"--as={int(gigabytes * 2**30)}", sys.executable, "-c", COMMAND]
+        done = subprocess.run([*limited, *command, "--store", store.path], capture_output=True, text=True)
+        assert done.returncode == 1 and re.fullmatch("jrdb-avr: .*ulimit -v.*\n", done.stderr), done.stderr

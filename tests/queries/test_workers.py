@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -44,6 +46,20 @@ def test_an_error_of_a_shard_is_raised_as_it_is(workers):
 def test_a_dead_worker_is_an_error_that_says_what_to_do():
     with pytest.raises(StoreError, match="fewer --workers"):
         list(map_sequences(die, [1, 2], 2, weight=float))
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_script_without_a_guard_or_from_standard_input_runs_once(tmp_path, given):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "print('begun')\n"
+        "from jrdb_avr.queries.workers import map_sequences, run_alone\n"
+        "print(sorted(map_sequences(abs, [-1, -2], 2, float)), run_alone(dict))\n"
+    )
+    with script.open() as lines:
+        command = [sys.executable, *([] if given else [script])]
+        done = subprocess.run(command, stdin=lines, capture_output=True, text=True, timeout=100)
+    assert (done.stdout, done.stderr) == ("begun\n[(0, 1), (1, 2)] {}\n", "")
 
 
 def sleep_or_die(folder: Path | None) -> None:
