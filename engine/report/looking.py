@@ -74,10 +74,8 @@ def _run_id(run: ScoredRun) -> str:
 def _gaps(index: QuestionIndex, compared: Mapping[str, ScoredRun], family: str, among: Ints) -> Iterator[Line]:
     """Yield the rows of a run for some questions: answer and combined."""
     for score in ("answer", "combined"):
-        right = {
-            name: run.scores[np.searchsorted(run.rows, among), SCORES.index(score)].astype(float)
-            for name, run in compared.items()
-        }
+        column = SCORES.index(score)
+        right = {name: run.scores_of(among)[:, column].astype(float) for name, run in compared.items()}
         row = run_names(compared["active"]) | {"family": family, "score": score, "n": len(among)}
         row |= {name.replace("-", "_"): percent_of(float(of.sum()), len(among)) for name, of in right.items()}
         gaps = {"search_gap": right["given-looks"] - right["active"]}

@@ -127,6 +127,10 @@ class ScoredRun:
         """Number of questions of the run that have a prediction."""
         return len(self.rows)
 
+    def scores_of(self, rows: Ints) -> Digits:
+        """Return the scores of some questions of the run. `rows` are their indexes in `ids`. Shape: (m, 3)."""
+        return self.scores[np.searchsorted(self.rows, rows)]
+
 
 def read_index(store: Store) -> QuestionIndex:
     """Read the questions of a store with their labels.

@@ -169,11 +169,9 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         For each value, one row per run that has questions with this value.
     """
     labels = index.labels[dimension]
-    sums = [
-        numbered_sums(labels.numbers[run.rows], len(labels.names), run.counts).astype(np.int64).tolist() for run in runs
-    ]
+    sums = [numbered_sums(labels.numbers[run.rows], len(labels.names), run.counts) for run in runs]
     return [
-        {dimension: name, **run_names(run), **_shares(*sums_of_run[value])}
+        {dimension: name, **run_names(run), **_shares(sums_of_run[value])}
         for value, name in enumerate(labels.names)
         for run, sums_of_run in zip(runs, sums, strict=True)
         if sums_of_run[value][0]
@@ -191,10 +189,12 @@ def score_row(run: ScoredRun, iou: float) -> Line:
         The scores of the run in percent of the run's questions.
     """
     head = {"run": run.manifest.run_id, "label": run_names(run)["label"]}
-    return head | _shares(*run.counts.sum(axis=0).tolist()) | {"errors": percent_of(run.errors, run.n), "iou": iou}
+    return head | _shares(run.counts.sum(axis=0)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 
 
-def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> Line:
+def _shares(counts: Ints | Floats) -> Line:
+    """Return the scores of questions in percent. `counts` has the sums of the columns of `ScoredRun.counts`."""
+    n, answer, evidence, combined, invalid = counts.astype(np.int64).tolist()
     return {
         "n": n,
         "answer": percent_of(answer, n),
@@ -224,7 +224,7 @@ def ablation_rows(runs: Sequence[ScoredRun]) -> list[Line]:
         CELLS[run.manifest.method]
         | run_names(run)
         | {"setting": settings[run.manifest.run_id]}
-        | _shares(*run.counts.sum(axis=0).tolist())
+        | _shares(run.counts.sum(axis=0))
         for run in among
     ]
     # Rows are grouped by model and setting. In a group, the passive cells come first.
@@ -274,7 +274,7 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
         clusters = index.labels["sequence"].numbers[common]
         label = interval_label(len(np.unique(clusters)))
         runs = list(dict.fromkeys(run for member in members for run in pairs[member]))
-        scores = [run.scores[np.searchsorted(run.rows, common)] for run in runs]
+        scores = [run.scores_of(common) for run in runs]
         indexes = [(runs.index(pairs[member][0]), runs.index(pairs[member][1])) for member in members]
         for member, comparison in zip(members, compare(clusters, scores, indexes), strict=True):
             first, second = pairs[member]
