@@ -23,7 +23,7 @@ BUDGETS = {
     "engine/validate": 600,
     "engine/observe": 230,
     "engine/run": 1660,
-    "engine/report": 1320,
+    "engine/report": 1300,
     "engine/pages": 1200,
     "engine/integrations": 900,
     "engine/commands": 1500,

@@ -74,15 +74,13 @@ Statistic = Callable[[Floats], Floats]
 """Function that maps the column sums of each draw (draws, columns) to a value per draw (draws). NaN means undefined."""
 
 
-def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, seed: int = SEED) -> list[Interval]:
+def intervals(sums: Floats, statistics: Sequence[Statistic]) -> list[Interval]:
     """Compute statistics with their intervals.
 
     Args:
         sums: For each cluster, the sums over the questions of the cluster. Each column of the array sums one property
             of questions, such as a score. Shape: (clusters, columns).
         statistics: The statistics to compute from the columns.
-        n: Number of draws.
-        seed: Seed of the draws.
 
     Returns:
         One `Interval` per statistic. If a statistic is undefined in a draw, its bounds ignore this draw.
@@ -92,7 +90,7 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     if len(sums) < 2:
         return [Interval(None if math.isnan(value) else value, None, None) for value in values]
     # The product is transposed so that each column is contiguous, because statistics read whole columns.
-    drawn = (sums.T @ draws(len(sums), n, seed).T).T
+    drawn = (sums.T @ draws(len(sums)).T).T
     values_drawn = np.stack([statistic(drawn) for statistic in statistics])
     bounds = np.quantile(values_drawn, _TAILS, axis=1)
     for row in np.flatnonzero(np.isnan(values_drawn).any(axis=1)).tolist():
@@ -104,7 +102,7 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     ]
 
 
-def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
+def numbered_sums(numbers: Ints, count: int, columns: Digits | Floats) -> Floats:
     """Sum the rows of each group.
 
     Args:
@@ -164,9 +162,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2 * below / (1 << n))
 
 
-def compare(
-    clusters: Ints, scores: Sequence[Digits], pairs: Sequence[tuple[int, int]], n: int = DRAWS, seed: int = SEED
-) -> list[list[Pair]]:
+def compare(clusters: Ints, scores: Sequence[Digits], pairs: Sequence[tuple[int, int]]) -> list[list[Pair]]:
     """Compare pairs of runs that answered the same questions.
 
     Args:
@@ -174,8 +170,6 @@ def compare(
         scores: For each run, an array of 0 and 1 with one row per question, in the order of `clusters`, and one column
             per kind of score. Shape: (questions, kinds).
         pairs: The pairs to compare, each as two indexes in `scores`.
-        n: Number of draws.
-        seed: Seed of the draws.
 
     Returns:
         For each pair of runs, one `Pair` per kind of score (column).
@@ -184,7 +178,7 @@ def compare(
     sums = numbered_sums(numbers, len(names), np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))
     # The sums of a run's draws serve all comparisons of the run. The first draw is the sample itself. It gives
     # the shares.
-    times = np.concatenate([np.ones((1, len(sums))), draws(len(sums), n, seed)])
+    times = np.concatenate([np.ones((1, len(sums))), draws(len(sums))])
     *drawn, questions = sums.T @ times.T
     of_runs = np.reshape(drawn, (len(scores), -1, len(times)))
     comparisons = []
@@ -196,18 +190,12 @@ def compare(
         values = differences[..., 0].tolist()
         bounds = np.moveaxis(np.quantile(differences[..., 1:], _TAILS, axis=-1, overwrite_input=True), 0, -1).tolist()
         for (left, right), *shares in zip(batch, values, bounds, strict=True):
-            shares_of_pair = [
+            left_wins = (scores[left] > scores[right]).sum(axis=0).tolist()
+            right_wins = (scores[right] > scores[left]).sum(axis=0).tolist()
+            differences_of_pair = (
                 Interval(value, *(limits if len(sums) > 1 else (None, None)))
                 for value, limits in zip(*shares, strict=True)
-            ]
-            comparisons.append(_pairs(scores[left], scores[right], shares_of_pair))
+            )
+            p_values = map(mcnemar, left_wins, right_wins)
+            comparisons.append([*zip(left_wins, right_wins, p_values, differences_of_pair, strict=True)])
     return comparisons
-
-
-def _pairs(first: Digits, second: Digits, differences: Sequence[Interval]) -> list[Pair]:
-    only_first = (first > second).sum(axis=0).tolist()
-    only_second = (second > first).sum(axis=0).tolist()
-    return [
-        (left_wins, right_wins, mcnemar(left_wins, right_wins), difference)
-        for left_wins, right_wins, difference in zip(only_first, only_second, differences, strict=True)
-    ]

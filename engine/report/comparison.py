@@ -324,8 +324,8 @@ class RunDifference(Displayed):
             the first run, and the third has the scores of the second run. Arrays of scores have one row per common
             question and one column per kind of score.
         """
-        common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
-        return common, self.first.scores[first_rows], self.second.scores[second_rows]
+        common = np.intersect1d(self.first.rows, self.second.rows)
+        return common, self.first.scores_of(common), self.second.scores_of(common)
 
     def _summary(self) -> str:
         n = self.rows[0]["n"]

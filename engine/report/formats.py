@@ -80,8 +80,11 @@ def other_counts(rows: Rows) -> set[int]:
     Returns:
         The values that differ. If at least one run has several rows, the set is empty.
     """
-    runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
-    return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
+    of_runs = [row for row in rows if row.get("run")]
+    if len({row["run"] for row in of_runs}) < len(of_runs):
+        return set()
+    counts = [row["n"] for row in of_runs if "n" in row]
+    return set(counts) - set(sorted(counts, key=lambda n: (-counts.count(n), -n))[:1])
 
 
 def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
@@ -152,12 +155,6 @@ def without_rough(rows: Rows) -> list[dict[str, Any]]:
         }
         for row in rows
     ]
-
-
-def _of_runs(rows: Rows) -> bool:
-    """Return whether each run has at most one of the rows."""
-    names = [row["run"] for row in rows if row.get("run")]
-    return len(set(names)) == len(names)
 
 
 def _bounds(low: object, high: object) -> str:

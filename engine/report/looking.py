@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
 from typing import Final
 
 import msgspec
 import numpy as np
 
-from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, percent_of
-from jrdb_avr.engine.report.tables import Line, interval_label, run_names, score_columns, with_bounds
+from jrdb_avr.engine.report.tables import Line, interval_label, run_names, score_columns, shares_with_bounds
 from jrdb_avr.schema.arrays import Ints
 
 THRESHOLDS: Final = (0.3, 0.5, 0.7)
@@ -59,9 +59,7 @@ def gap_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Line]:
         beside = {name: other for other in reversed(same) for name in _BESIDE if other.manifest.method == name}
         if run.manifest.method in _ACTIVE and "given-looks" in beside:
             compared = {"active": run} | beside
-            common = run.rows
-            for other in beside.values():
-                common = np.intersect1d(common, other.rows)
+            common = reduce(np.intersect1d, [of.rows for of in compared.values()])
             parts = [("all", common)]
             if labels := index.labels.get("family"):
                 parts += [(name, common[labels.numbers[common] == code]) for code, name in enumerate(labels.names)]
@@ -75,20 +73,16 @@ def _run_id(run: ScoredRun) -> str:
 
 def _gaps(index: QuestionIndex, compared: Mapping[str, ScoredRun], family: str, among: Ints) -> Iterator[Line]:
     """Yield the rows of a run for some questions: answer and combined."""
-    sequences, cluster = np.unique(index.labels["sequence"].numbers[among], return_inverse=True)
     for score in ("answer", "combined"):
-        right = {
-            name: run.scores[np.searchsorted(run.rows, among), SCORES.index(score)].astype(float)
-            for name, run in compared.items()
-        }
+        column = SCORES.index(score)
+        right = {name: run.scores_of(among)[:, column].astype(float) for name, run in compared.items()}
         row = run_names(compared["active"]) | {"family": family, "score": score, "n": len(among)}
         row |= {name.replace("-", "_"): percent_of(float(of.sum()), len(among)) for name, of in right.items()}
         gaps = {"search_gap": right["given-looks"] - right["active"]}
         gaps |= {"seeing_gap": 1 - right["given-target"]} if "given-target" in right else {}
-        for name, gap in gaps.items():
-            sums = numbered_sums(cluster, len(sequences), np.stack([np.ones(len(among)), gap], axis=1))
-            row |= with_bounds(name, intervals(sums, [mean_ratio((1, 0))])[0])
-        yield row | {"interval": interval_label(len(sequences))}
+        ratios = {name: (position, 0) for position, name in enumerate(gaps, 1)}
+        shares, sequences = shares_with_bounds(index, among, np.column_stack([*gaps.values()]), ratios)
+        yield row | shares | {"interval": interval_label(sequences)}
 
 
 def look_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Line]:

@@ -96,15 +96,11 @@ MAIN: Final = [row for row in _ROWS if row.method == "agent" or not row.method.s
 ABLATION: Final = {row.method: row for row in _ROWS if row.method.startswith("agent")}
 """Rows of the paper's ablation, by the name of this project's corresponding method."""
 
-BY_GROUP: Final = {
-    group: Published(
-        "agent",
-        "Qwen3.5 9B",
-        round(100 * counts.answer / counts.n, 2),
-        round(100 * counts.evidence / counts.n, 2),
-        round(100 * counts.combined / counts.n, 2),
-        round(100 * (counts.answer - counts.combined) / counts.answer, 2),
-    )
-    for group, counts in GROUPS.items()
-}
+
+def _published(n: int, answer: int, evidence: int, combined: int) -> Published:
+    parts = ((answer, n), (evidence, n), (combined, n), (answer - combined, answer))
+    return Published("agent", "Qwen3.5 9B", *(round(100 * part / whole, 2) for part, whole in parts))
+
+
+BY_GROUP: Final = {group: _published(*counts[1:]) for group, counts in GROUPS.items()}
 """Figures of the paper's agent, by group of questions."""

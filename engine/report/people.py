@@ -32,9 +32,7 @@ def agreement_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict
     people = sorted((run for run in runs if run.manifest.method == HUMAN), key=lambda run: run.manifest.run_id)
     rows = []
     for first, second in combinations(people, 2):
-        shared, first_rows, second_rows = np.intersect1d(
-            first.rows, second.rows, assume_unique=True, return_indices=True
-        )
+        shared, first_rows, second_rows = np.intersect1d(first.rows, second.rows, return_indices=True)
         modes = index.labels["answer_mode"]
         same = sum(
             _same(modes.names[modes.numbers[row]], first.answers[index_a], second.answers[index_b])

@@ -146,9 +146,8 @@ def _make_whole(value: Any) -> Any:
 
 
 def _row(line: PredictionLine, run_id: str) -> dict[str, Any]:
-    row: dict[str, Any] = {"run_id": run_id, "answer": None} | {name: getattr(line, name) for name in _SAME}
-    if line.answer is not None:
-        row["answer"] = msgspec.json.encode(line.answer).decode()
+    answer = None if line.answer is None else msgspec.json.encode(line.answer).decode()
+    row: dict[str, Any] = {"run_id": run_id, "answer": answer} | {name: getattr(line, name) for name in _SAME}
     if line.evidence is not None:
         row["evidence_frame"] = line.evidence.frame
         row |= {f"evidence_{side}": value for side, value in zip(_BOX, line.evidence.box, strict=True)}

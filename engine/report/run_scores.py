@@ -90,18 +90,13 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     manifest, predictions = submission
     answers = dict(zip(predictions["question_id"].to_pylist(), predictions["answer"].to_pylist(), strict=True))
     played = [name for name in manifest.question_ids if name in answers]
-    if len(played) < len(manifest.question_ids) and not played:
+    if manifest.question_ids and not played:
         raise StoreError(f"run {manifest.run_id} has no prediction of its questions: continue it with --resume")
     rows = np.sort(find_questions(truth.ids, manifest.run_id, played))
     ids = truth.ids.take(pa.array(rows)).to_pylist()
     scores = score_predictions(truth, manifest.run_id, ids, predictions, iou)
-    return ScoredRun(
-        manifest,
-        rows,
-        scores,
-        len(rows) - int(np.count_nonzero(is_judged(predictions["status"]))),
-        [answers.get(name) for name in ids],
-    )
+    errors = len(rows) - int(np.count_nonzero(is_judged(predictions["status"])))
+    return ScoredRun(manifest, rows, scores, errors, [answers.get(name) for name in ids])
 
 
 def score_runs(

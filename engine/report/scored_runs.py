@@ -105,6 +105,11 @@ class ScoredRun:
         invalid: Digits = self.table["invalid"].to_numpy().astype(np.int8)
         return invalid
 
+    @cached_property
+    def counts(self) -> Digits:
+        """1 for each question, then its three scores and its value of `invalid`. Shape: (n, 5)."""
+        return np.column_stack([np.ones(self.n, np.int8), self.scores, self.invalid])
+
     @property
     def label(self) -> str:
         """Text that marks a run in tables: synthetic, partial if some questions have no prediction, or both."""
@@ -121,6 +126,10 @@ class ScoredRun:
     def n(self) -> int:
         """Number of questions of the run that have a prediction."""
         return len(self.rows)
+
+    def scores_of(self, rows: Ints) -> Digits:
+        """Return the scores of some questions of the run. `rows` are their indexes in `ids`. Shape: (m, 3)."""
+        return self.scores[np.searchsorted(self.rows, rows)]
 
 
 def read_index(store: Store) -> QuestionIndex:

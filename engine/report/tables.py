@@ -6,7 +6,7 @@ Scores are in percent of `n`, the number of questions. If `n` is 0, a score is N
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -21,7 +21,7 @@ from jrdb_avr.engine.report.scored_runs import (
     distinguishing_settings,
     percent_of,
 )
-from jrdb_avr.schema.arrays import Bools, Ints
+from jrdb_avr.schema.arrays import Bools, Digits, Floats, Ints
 
 Line = dict[str, Any]
 
@@ -59,13 +59,12 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
 def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Line:
     row = run_names(run) | {"setting": setting} | score_columns(index, run)
     row |= {"invalid": percent_of(int(run.invalid.sum()), run.n), "errors": percent_of(run.errors, run.n)}
-    base = np.concatenate([np.ones((run.n, 1)), run.scores], axis=1)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
     for title, dimension in (("families", "family"), ("groups", "group")):
         if (labels := index.labels.get(dimension)) is None:
             continue
         count = len(labels.names)
-        sums = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, base)
+        sums = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, run.counts[:, :4])
         means = [mean_ratio(*((4 * k + score, 4 * k) for k in range(count))) for score in (1, 2, 3)]
         shares = intervals(sums.reshape(len(sequences), 4 * count), means)
         for name, share in zip(SCORES, shares, strict=True):
@@ -85,15 +84,34 @@ def score_columns(index: QuestionIndex, run: ScoredRun, among: Bools | slice = s
         The columns n, sequences and interval, then each score and hallucination with its bounds, in percent.
     """
     rows, scores = run.rows[among], run.scores[among]
-    # The columns are: 1 for each question, the three scores, and 1 if the answer is right but the evidence is not.
-    base = np.concatenate([np.ones((len(rows), 1)), scores, scores[:, :1] - scores[:, 2:]], axis=1)
-    sequences, cluster = np.unique(index.labels["sequence"].numbers[rows], return_inverse=True)
+    # The last column is 1 if the answer is right but the evidence is not.
+    columns = np.concatenate([scores, scores[:, :1] - scores[:, 2:]], axis=1)
     ratios = {name: (position, 0) for position, name in enumerate(SCORES, 1)} | {"hallucination": (4, 1)}
-    shares = intervals(numbered_sums(cluster, len(sequences), base), [mean_ratio(ratio) for ratio in ratios.values()])
-    row: Line = {"n": len(rows), "sequences": len(sequences), "interval": interval_label(len(sequences))}
-    for name, share in zip(ratios, shares, strict=True):
+    shares, sequences = shares_with_bounds(index, rows, columns, ratios)
+    return {"n": len(rows), "sequences": sequences, "interval": interval_label(sequences)} | shares
+
+
+def shares_with_bounds(
+    index: QuestionIndex, rows: Ints, columns: Ints | Digits | Floats, ratios: Mapping[str, tuple[int, int]]
+) -> tuple[Line, int]:
+    """Compute shares of questions, with intervals that resample sequences.
+
+    Args:
+        index: The questions of the store, with their labels.
+        rows: Indexes in `index` of the n questions.
+        columns: Values of the questions. Shape: (n, columns).
+        ratios: For each share, the indexes of the columns to divide, from 1 on. Column 0 is 1 for each question.
+
+    Returns:
+        The columns of `with_bounds` for each share, and the number of sequences of the questions.
+    """
+    counted = np.concatenate([np.ones((len(rows), 1)), columns], axis=1)
+    sequences, cluster = np.unique(index.labels["sequence"].numbers[rows], return_inverse=True)
+    sums = numbered_sums(cluster, len(sequences), counted)
+    row: Line = {}
+    for name, share in zip(ratios, intervals(sums, [mean_ratio(ratio) for ratio in ratios.values()]), strict=True):
         row |= with_bounds(name, share)
-    return row
+    return row, len(sequences)
 
 
 def interval_label(sequences: int) -> str:
@@ -151,13 +169,9 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         For each value, one row per run that has questions with this value.
     """
     labels = index.labels[dimension]
-    columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
-    sums = [
-        numbered_sums(labels.numbers[run.rows], len(labels.names), sums_of_run).astype(np.int64).tolist()
-        for run, sums_of_run in zip(runs, columns, strict=True)
-    ]
+    sums = [numbered_sums(labels.numbers[run.rows], len(labels.names), run.counts) for run in runs]
     return [
-        {dimension: name, **run_names(run), **_shares(*sums_of_run[value])}
+        {dimension: name, **run_names(run), **_shares(sums_of_run[value])}
         for value, name in enumerate(labels.names)
         for run, sums_of_run in zip(runs, sums, strict=True)
         if sums_of_run[value][0]
@@ -175,15 +189,12 @@ def score_row(run: ScoredRun, iou: float) -> Line:
         The scores of the run in percent of the run's questions.
     """
     head = {"run": run.manifest.run_id, "label": run_names(run)["label"]}
-    return head | _shares(*_totals(run)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
+    return head | _shares(run.counts.sum(axis=0)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 
 
-def _totals(run: ScoredRun) -> list[int]:
-    """Return the arguments of `_shares` for a run: numbers of questions, in the order of the arguments."""
-    return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
-
-
-def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> Line:
+def _shares(counts: Ints | Floats) -> Line:
+    """Return the scores of questions in percent. `counts` has the sums of the columns of `ScoredRun.counts`."""
+    n, answer, evidence, combined, invalid = counts.astype(np.int64).tolist()
     return {
         "n": n,
         "answer": percent_of(answer, n),
@@ -213,7 +224,7 @@ def ablation_rows(runs: Sequence[ScoredRun]) -> list[Line]:
         CELLS[run.manifest.method]
         | run_names(run)
         | {"setting": settings[run.manifest.run_id]}
-        | _shares(*_totals(run))
+        | _shares(run.counts.sum(axis=0))
         for run in among
     ]
     # Rows are grouped by model and setting. In a group, the passive cells come first.
@@ -263,7 +274,7 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
         clusters = index.labels["sequence"].numbers[common]
         label = interval_label(len(np.unique(clusters)))
         runs = list(dict.fromkeys(run for member in members for run in pairs[member]))
-        scores = [run.scores[np.searchsorted(run.rows, common)] for run in runs]
+        scores = [run.scores_of(common) for run in runs]
         indexes = [(runs.index(pairs[member][0]), runs.index(pairs[member][1])) for member in members]
         for member, comparison in zip(members, compare(clusters, scores, indexes), strict=True):
             first, second = pairs[member]

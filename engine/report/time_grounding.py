@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, percent_of
-from jrdb_avr.engine.report.tables import Line, interval_label, run_names, with_bounds
+from jrdb_avr.engine.report.tables import Line, interval_label, run_names, shares_with_bounds
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import warn
 
@@ -64,13 +63,10 @@ def find_pairs(twin_ids: Sequence[str | None]) -> Ints:
 
 def _row(index: QuestionIndex, run: ScoredRun, pairs: Ints) -> Line:
     scores, n = run.scores[pairs], len(pairs)
-    sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows[pairs[:, 0]]], return_inverse=True)
-    columns = np.concatenate([np.ones((n, 1)), scores.prod(axis=1)], axis=1)
-    sums = numbered_sums(cluster, len(sequences), columns)
-    answers, combined = intervals(sums, (mean_ratio((1, 0)), mean_ratio((3, 0))))
-    row = run_names(run) | {"n": n} | with_bounds("both_answers", answers) | with_bounds("both_combined", combined)
-    row |= {"single": percent_of(int(scores[:, :, 0].sum()), 2 * n)}
-    return row | {"sequences": len(sequences), "interval": interval_label(len(sequences))}
+    ratios = {"both_answers": (1, 0), "both_combined": (3, 0)}
+    shares, sequences = shares_with_bounds(index, run.rows[pairs[:, 0]], scores.prod(axis=1), ratios)
+    row = run_names(run) | {"n": n} | shares | {"single": percent_of(int(scores[:, :, 0].sum()), 2 * n)}
+    return row | {"sequences": sequences, "interval": interval_label(sequences)}
 
 
 def _guessers(index: QuestionIndex, pairs: Ints) -> list[Line]:

@@ -41,7 +41,7 @@ class Finished(msgspec.Struct, frozen=True):
     @property
     def failed(self) -> bool:
         """Whether the question ended in an error, so that a resumed run answers it again."""
-        return bool(self.prediction["status"] == "error")
+        return self.prediction.get("status") == "error"
 
 
 # This line runs at import, because msgspec crashes if several threads make a type's first decoder at the same time.
