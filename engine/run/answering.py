@@ -111,7 +111,7 @@ def answer_one(
     )
     started = time.perf_counter()
     try:
-        finished = finished_entry(question, method.answer(task), steps, writes, time.perf_counter() - started)
+        return finished_entry(question, method.answer(task), steps, writes, time.perf_counter() - started)
     except (RunStoppedError, _Stopped):
         raise
     except BaseException as error:
@@ -127,11 +127,10 @@ def answer_one(
         )
         seconds = time.perf_counter() - started
         try:
-            finished = finished_entry(question, failed, steps, writes, seconds)
+            return finished_entry(question, failed, steps, writes, seconds)
         except Exception:
             # A recorded step or write cannot be stored, so the entry has none.
-            finished = finished_entry(question, failed, [], [], seconds)
-    return finished
+            return finished_entry(question, failed, [], [], seconds)
 
 
 def _is_unreadable(entry: Finished) -> bool:

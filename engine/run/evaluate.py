@@ -169,11 +169,9 @@ def evaluate(
         bench = Bench(store, chosen, image_root, playing.opaque)
         run = stack.enter_context(Run(store, run_id))
         world = stack.enter_context(open_world(store.run_path(run_id), run_id)) if method in WORLD_METHODS else None
-        endpoint = None
-        if model != NO_MODEL:
-            endpoint = stack.enter_context(_connect(run, method, model, options, errors))
-            if world is not None:
-                world.repeats = endpoint.repeats
+        endpoint = None if model == NO_MODEL else stack.enter_context(_connect(run, method, model, options, errors))
+        if endpoint is not None and world is not None:
+            world.repeats = endpoint.repeats
         player: ConfigurableMethod
         if not isinstance(method, str):
             player = CustomMethod(type(method).__name__, method)
@@ -313,9 +311,8 @@ def _connect(
     """Check the server of a model, issue a warning for each failed check, and yield the server."""
     folder, endpoint = run.store.run_path(run.run_id), options.endpoint
     with serving(model, endpoint.base_url, run.store, errors) as url:
-        calibration = read_calibration(run.store, model)
-        journal, strict = folder / "calls.jsonl", options.run.strict_preflight
-        checked = Endpoint(calibration, model, url, endpoint, journal, _name(method), strict)
+        calibration, calls = read_calibration(run.store, model), folder / "calls.jsonl"
+        checked = Endpoint(calibration, model, url, endpoint, calls, _name(method), options.run.strict_preflight)
         for line in checked.warnings:
             warn(f"preflight: {line}")
         yield checked
