@@ -22,7 +22,7 @@ BUDGETS = {
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
-    "engine/run": 1660,
+    "engine/run": 1650,
     "engine/report": 1300,
     "engine/pages": 1200,
     "engine/integrations": 900,

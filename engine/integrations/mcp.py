@@ -29,6 +29,7 @@ from jrdb_avr.agent.model.schemas import FRAME_ID_SCHEMA, evidence_schema
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.journal import unanswered
+from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.playing import Play, played_run
 from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.store import Store
@@ -212,7 +213,8 @@ def serve(
             "use --http for an agent that has no access to them, or add --i-trust-the-agent",
             field="store",
         )
-    playing = played_run(store, METHOD, model, run_id, limit=limit, resume=resume, images=images, opaque=opaque)
+    chosen = QuestionSelection(limit=limit)
+    playing = played_run(store, METHOD, model, run_id, questions=chosen, resume=resume, images=images, opaque=opaque)
     with playing as (bench, run):
         server = Desk(bench, run).server()
         if port is None:

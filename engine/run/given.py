@@ -66,8 +66,7 @@ class GivenPictures:
 
     def __call__(self, task: Task) -> list[Observation]:
         """Return the pictures of a question."""
-        shown = task.question.question_id
-        looks = self._looks[self._stored_ids.get(shown, shown)]
+        looks = self._looks[self._stored_ids.get(task.question.question_id, task.question.question_id)]
         return [self._picture(task.question.sequence, look) for look in looks if look.frame in task.sequence.frames]
 
     def _picture(self, sequence: str, look: GivenLook) -> Observation:

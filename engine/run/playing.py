@@ -12,7 +12,7 @@ from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.evaluate import default_run_id
 from jrdb_avr.engine.run.journal import finished_entry
-from jrdb_avr.engine.run.options import QuestionSelection
+from jrdb_avr.engine.run.options import DEFAULTS, QuestionSelection
 from jrdb_avr.engine.run.run import Run, key_fingerprint, run_questions
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.method import Step
@@ -25,8 +25,7 @@ def played_run(
     model: str,
     run_id: str | None = None,
     *,
-    questions: QuestionSelection | None = None,
-    limit: int | None = None,
+    questions: QuestionSelection = DEFAULTS.selection,
     resume: bool = False,
     images: str | Path | None = None,
     opaque: bool = False,
@@ -38,8 +37,7 @@ def played_run(
         method: The name of the method in the manifest.
         model: The name of the player. The manifest stores it as the name of the model.
         run_id: The id of the run. Default: an id that is made of the names of the method and the player.
-        questions: The selection of questions. None selects all questions.
-        limit: Maximum number of questions. None sets no maximum.
+        questions: The selection of questions. Default: all questions.
         resume: Whether to continue the run if it exists.
         images: The folder of panoramas. Default: the folder that the store names.
         opaque: Whether to replace the names of sequences by opaque names.
@@ -54,7 +52,7 @@ def played_run(
     """
     run_id = default_run_id(method, model) if run_id is None else run_id
     image_root = find_images(store, images)
-    chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
+    chosen, selection = run_questions(store, run_id, questions, resume, image_root)
     bench = Bench(store, chosen, image_root, opaque)
     with Run(store, run_id) as run:
         settings = {"method": {"budget": BUDGET}, **({"opaque": key_fingerprint(store)} if opaque else {})}
