@@ -95,7 +95,7 @@ def test_what_is_no_plain_file_is_refused_and_never_waited_for(sample_benchmark,
 
 def test_options_go_together(sample_benchmark, tmp_path):
     store = sample_benchmark
-    for options in (["--import", "x"], ["--reviewer", "ada"], [], ["--sample", "1", "0" * 16]):
+    for options in (["--import", "x"], ["--reviewer", "ada"], [], ["--import", "x", "--reviewer", "a", "0" * 16]):
         assert run("inspect", *options, "--store", store.path)[0] == 2
     assert run("inspect", "--import", tmp_path / "none", "--reviewer", "ada", "--store", store.path)[0] == 1
     assert run("inspect", "--import", "x", "--reviewer", "\n", "--store", store.path)[0] == 2
