@@ -267,9 +267,6 @@ SURROUNDINGS: Final = (
 )
 """Things near a group (`SSC` in the files)."""
 
-LOCATIONS: Final = ("at",)
-"""Prepositions between a group and its surroundings (`location_pre`). No complete list is published."""
-
 DEMOGRAPHICS: Final = {"gender": "gender", "age": "age", "race": "ethnicity"}
 """Name of each attribute of a person by its key in the files."""
 
@@ -291,7 +288,8 @@ VALUES: Final[dict[str, tuple[str, ...]]] = {
     "aim": AIMS,
     "bpc": BODY_PLACES,
     "ssc": SURROUNDINGS,
-    "location": LOCATIONS,
+    # Prepositions between a group and its surroundings (`location_pre`). No complete list is published.
+    "location": ("at",),
     "inter": INTERACTIONS,
 }
 """Vocabulary of each attribute."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,6 +25,7 @@ from jrdb_avr.schema.errors import AvrError, InputError, RunStoppedError
 from jrdb_avr.schema.method import DIAGNOSTIC
 
 if TYPE_CHECKING:
+    from jrdb_avr.engine.run.effort import Total
     from jrdb_avr.engine.run.evaluate import RunResult
     from jrdb_avr.queries.store import Store
 
@@ -99,8 +101,8 @@ def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **va
     _check_names(store, [evaluation for evaluation, _, _ in evaluations])
     epochs = [(epoch, scores) for evaluation, count, scores in evaluations for epoch in _epochs(evaluation, count)]
     if plan:
-        efforts = [estimate(store, *evaluation).row(text=not form) for evaluation, _ in epochs]
-        print_rows(filled(efforts), title="Plan: expected totals (lower to upper bound)", form=form)
+        rows = [_plan_row(evaluation, *estimate(store, *evaluation), text=not form) for evaluation, _ in epochs]
+        print_rows(filled(rows), title="Plan: expected totals (lower to upper bound)", form=form)
         note("synthetic: texts, and all figures of methods that choose their calls, are measured with simulated models")
         return
     results: list[RunResult] = []
@@ -133,12 +135,23 @@ def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **va
         note(f"next: {steps}")
 
 
+def _plan_row(evaluation: _Evaluation, questions: int, totals: Mapping[str, Total], text: bool) -> dict[str, Any]:
+    """Return the estimate of a run as a row. Its totals are texts with bounds, or each bound has its own column."""
+    row: dict[str, Any] = {"model": evaluation.model, "method": evaluation.method, "questions": questions}
+    for name in ("calls", "pictures", "prompt_tokens", "reply_tokens", "hours", "dollars"):
+        digits = 2 if name in ("hours", "dollars") else None
+        values = [round(float(value), digits) for value in totals.get(name, ())]
+        if not text:
+            row |= zip_longest((name, f"{name}_low", f"{name}_high"), values)
+        elif values:
+            row[name] = "{:,} ({:,}–{:,})".format(*values)
+    return row
+
+
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
     """Print the most frequent reason of invalid answers, and the most frequent reason of errors."""
-    for status, ending, remedy in (
-        ("invalid", "as invalid", ""),
-        ("error", "in an error", "; run the same command with --resume to ask them again"),
-    ):
+    again = "; run the same command with --resume to ask them again"
+    for status, ending, remedy in (("invalid", "as invalid", ""), ("error", "in an error", again)):
         reason, count = run.commonest_reason(status)
         if count:
             ended = f"{row[status]} of {row['n']} questions ended {ending}, {count} of them because: {reason[:300]}"
@@ -150,9 +163,8 @@ def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
     from jrdb_avr.engine.run.evaluate import name_run
 
     names = [name_run(store, *evaluation) for evaluation in evaluations]
-    for name in names:
-        if names.count(name) > 1:
-            raise click.UsageError(f"two runs are named {name}: give each a [[run]] of its own, with a run-id")
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise click.UsageError(f"two runs are named {repeated[0]}: give each a [[run]] of its own, with a run-id")
 
 
 def _evaluation(values: Mapping[str, Any], plan: bool) -> _Evaluation:

@@ -35,11 +35,9 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.page import render
     from jrdb_avr.engine.report.people import HUMAN
-    from jrdb_avr.engine.run.evaluate import default_run_id
     from jrdb_avr.engine.run.human import HumanDesk
     from jrdb_avr.engine.run.playing import played_run
 
-    run_id = default_run_id(HUMAN, name) if run_id is None else run_id
     images: Path | None = options.pop("images")
     selection = build(QuestionSelection, {**options, "questions": options["questions"] or ()})
     with (
@@ -51,4 +49,4 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
         note("open this address in a browser; Ctrl-C ends the command, and --resume continues the run")
         server.serve_forever()
     if run.finished:
-        note(f"next: {scoring_steps(store.path, run_id)}")
+        note(f"next: {scoring_steps(store.path, run.run_id)}")

@@ -201,11 +201,10 @@ class QuestionEnv(gymnasium.Env):
 
     def _info(self, refused: str) -> dict[str, Any]:
         episode = self._playing()
-        question = episode.question
         return {
-            "question_id": question.question_id,
+            "question_id": episode.question.question_id,
             "prompt": episode.text,
-            "answer_mode": question.answer_mode,
+            "answer_mode": episode.question.answer_mode,
             "refused": refused,
         }
 

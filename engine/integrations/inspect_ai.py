@@ -204,10 +204,8 @@ def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
         observation = _move(state, episode, {"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
         assert observation is not None, "a look that is not refused returns what it shows"
         left = f"Looks left: {episode.left.looks}, turns left: {episode.left.moves}"
-        return [
-            ContentText(text=f"{metadata_line(observation)}\n{left}"),
-            ContentImage(image=picture_of(observation).uri),
-        ]
+        text = f"{metadata_line(observation)}\n{left}"
+        return [ContentText(text=text), ContentImage(image=picture_of(observation).uri)]
 
     async def submit_answer(answer: Any, evidence_bboxes: Any) -> str:
         _move(state, episode, {"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})

@@ -13,9 +13,8 @@ import re
 import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import uvicorn
 from mcp.server.mcpserver import MCPServer
@@ -28,9 +27,9 @@ from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
 from jrdb_avr.agent.model.schemas import FRAME_ID_SCHEMA, evidence_schema
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
-from jrdb_avr.engine.run.bench import Bench, find_images, root_of_images
-from jrdb_avr.engine.run.evaluate import default_run_id
-from jrdb_avr.engine.run.playing import Play, due_questions, played_run
+from jrdb_avr.engine.run.bench import Bench, find_images
+from jrdb_avr.engine.run.journal import unanswered
+from jrdb_avr.engine.run.playing import Play, played_run
 from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -55,12 +54,11 @@ _Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answe
 _Boxes = Annotated[Any, WithJsonSchema(evidence_schema())]
 
 
-@dataclass
-class _Open:
+class _Open(NamedTuple):
     """A question that the agent has begun. The lock lets only one call at a time make a move."""
 
     play: Play
-    lock: threading.Lock = field(default_factory=threading.Lock)
+    lock: threading.Lock
 
 
 class Desk:
@@ -68,7 +66,7 @@ class Desk:
 
     def __init__(self, bench: Bench, run: Run) -> None:
         self._bench, self._run = bench, run
-        due = [bench.question(question_id) for question_id in due_questions(bench, run)]
+        due = unanswered(bench.questions, run.finished)
         self._due = one_of_twins(due)[::-1]
         held_back = len(due) - len(self._due)
         wait = f"; {held_back} questions wait for another session (--resume)" if held_back else ""
@@ -94,7 +92,7 @@ class Desk:
                 return {"done": True, "message": self._end}
             play = Play.begin(self._bench, self._due.pop())
             episode, token = play.episode, secrets.token_urlsafe(12)
-            self._open[token] = _Open(play)
+            self._open[token] = _Open(play, threading.Lock())
         schema = episode.answer_schema["properties"]["answer"]
         return {"done": False, "episode": token, "prompt": episode.prompt, "answer_schema": schema}
 
@@ -214,7 +212,6 @@ def serve(
             "use --http for an agent that has no access to them, or add --i-trust-the-agent",
             field="store",
         )
-    run_id = default_run_id(METHOD, model) if run_id is None else run_id
     playing = played_run(store, METHOD, model, run_id, limit=limit, resume=resume, images=images, opaque=opaque)
     with playing as (bench, run):
         server = Desk(bench, run).server()
@@ -222,7 +219,7 @@ def serve(
             server.run("stdio")
         else:
             _serve_http(server, port, ready)
-    return run_id
+    return run.run_id
 
 
 def private_parts(store: Store, images: str | Path | None) -> list[str]:
@@ -238,8 +235,13 @@ def private_parts(store: Store, images: str | Path | None) -> list[str]:
     labels = (store.graph_path, store.path / "annotations", store.path / "intervals")
     paths = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
     held = [str(path.relative_to(store.path)) for path in paths if path.exists()]
-    folder = find_images(store, images)
-    return held if folder is None else held + [str(path) for path in root_of_images(folder).glob("labels*")]
+    if folder := find_images(store, images):
+        root = Path(folder).resolve()
+        # In a copy of JRDB, these folders are between the panoramas and the root, which also has the labels.
+        for name in ("image_stitched", "images"):
+            root = root.parent if root.name == name else root
+        held += map(str, root.glob("labels*"))
+    return held
 
 
 def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None]) -> None:

@@ -12,9 +12,9 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
-from jrdb_avr.engine.run.journal import Finished, finished_entry, unanswered
+from jrdb_avr.engine.run.journal import Finished, Journal, finished_entry, unanswered
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import AvrError, FilteredError, RunStoppedError
 from jrdb_avr.schema.method import (
@@ -46,17 +46,6 @@ HOPELESS: Final = 20
 """Number of finished questions without a readable reply after which a run stops."""
 _UNREADABLE: Final = ("the reply ", "the model refused", "refused: ")
 """Beginnings of the reasons of questions with an unreadable last reply (`decode.reply_object`)."""
-
-
-class Entries(Protocol):
-    """A collection with one entry per finished question. Entries can be added. A journal is such a collection."""
-
-    @property
-    def finished(self) -> Mapping[str, Finished]:
-        """The entry of each finished question, by question id."""
-
-    def append(self, entry: Finished) -> None:
-        """Add the entry of a finished question."""
 
 
 class _Stopped(BaseException):
@@ -199,7 +188,7 @@ def answer_all(
     sequences: Mapping[str, SequenceInfo],
     observe: Observe,
     panorama: GetPanorama,
-    journal: Entries,
+    journal: Journal,
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
     patience: int | None = None,

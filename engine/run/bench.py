@@ -163,22 +163,6 @@ class Bench:
 
 _GREY: Final = 105
 """Grey level of the pictures of sequences without panoramas."""
-_NOWHERE: Final = os.devnull
-"""Path below which no file can exist."""
-
-_LABELS_BESIDE: Final = ("image_stitched", "images")
-"""Names of the folders between the panoramas and JRDB's root folder, innermost first. Labels are also in the root."""
-
-
-def root_of_images(images: str | Path) -> Path:
-    """Return the root folder of JRDB for a folder of panoramas that is inside a copy of JRDB.
-
-    For any other folder, return this folder itself.
-    """
-    root = Path(images).resolve()
-    for name in _LABELS_BESIDE:
-        root = root.parent if root.name == name else root
-    return root
 
 
 def find_images(store: Store, images: str | Path | None) -> str | None:
@@ -202,19 +186,21 @@ def find_images(store: Store, images: str | Path | None) -> str | None:
 
 
 @contextlib.contextmanager
-def with_grey_pictures(store: Store, image_root: str | None) -> Iterator[str | None]:
-    """Yield a folder of panoramas in which each sequence that has only annotations has grey ones, for simulated runs.
+def with_grey_pictures(store: Store, image_root: str | None, simulated: bool) -> Iterator[str | None]:
+    """Yield a folder of panoramas. For simulated runs, each sequence that has only annotations has grey ones in it.
 
     Args:
         store: The store.
         image_root: The folder that has one folder of panoramas per sequence, or None.
+        simulated: Whether the run is simulated.
 
     Yields:
-        `image_root` itself if no sequence lacks panoramas, otherwise a temporary folder.
+        `image_root` itself if the run is not simulated or no sequence lacks panoramas, otherwise a temporary folder.
     """
     infos = read_sequences(store)
-    folders = {name: Path(image_root or _NOWHERE, name).resolve() for name in infos}
-    annotated = store.manifest().sequences if (store.path / MANIFEST_NAME).exists() else {}
+    # No file can exist below the null device.
+    folders = {name: Path(image_root or os.devnull, name).resolve() for name in infos}
+    annotated = store.manifest().sequences if simulated and (store.path / MANIFEST_NAME).exists() else {}
     lacking = [name for name in infos if name in annotated and not any(folders[name].glob("*.jpg"))]
     if not lacking:
         yield image_root

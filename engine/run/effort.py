@@ -7,21 +7,19 @@ fixed stages are a run without retries and a run that uses all retries. All othe
 
 from __future__ import annotations
 
-import contextlib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.agent.methods.requests import PANORAMAS, uniform_frames
+from jrdb_avr.agent.methods.requests import uniform_frames
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
-from jrdb_avr.agent.simulated.profiles import profile_of
 from jrdb_avr.engine.run.bench import find_images, with_grey_pictures
+from jrdb_avr.engine.run.endpoint import declared
 from jrdb_avr.engine.run.options import EvaluateOptions
 from jrdb_avr.engine.run.selection import select_questions
 from jrdb_avr.queries.questions import read_question_rows, read_sequences
@@ -45,41 +43,7 @@ _FIXED: Final = {
 further panoramas, and crops."""
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Estimate of a run.
-
-    method, model: the arguments of `evaluate`. questions: number of questions. totals: the totals by name. A total is
-    missing if it is unknown.
-    """
-
-    method: str
-    model: str
-    questions: int
-    totals: Mapping[str, Total]
-
-    def row(self, text: bool) -> dict[str, Any]:
-        """Return the estimate as a row.
-
-        Args:
-            text: Whether a total is a text with its bounds. If false, each bound has a column of its own.
-
-        Returns:
-            The values by name of the column.
-        """
-        row: dict[str, Any] = {"model": self.model, "method": self.method, "questions": self.questions}
-        for name in ("calls", "pictures", "prompt_tokens", "reply_tokens", "hours", "dollars"):
-            digits = 2 if name in ("hours", "dollars") else None
-            total = self.totals.get(name)
-            values = [None] * 3 if total is None else [round(float(value), digits) for value in total]
-            if not text:
-                row |= dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
-            elif total is not None:
-                row[name] = "{:,} ({:,}–{:,})".format(*values)
-        return row
-
-
-def estimate(store: Store, method: str, model: str, options: EvaluateOptions) -> Effort:
+def estimate(store: Store, method: str, model: str, options: EvaluateOptions) -> tuple[int, dict[str, Total]]:
     """Estimate the run that `evaluate` would make from nothing with these arguments.
 
     Args:
@@ -89,7 +53,8 @@ def estimate(store: Store, method: str, model: str, options: EvaluateOptions) ->
         options: The options of `evaluate`. Hours need a rate, and dollars need the price.
 
     Returns:
-        The estimate, without the requests of the preflight.
+        The number of questions, and the totals by name, without the requests of the preflight. A total is missing if
+        it is unknown.
 
     Raises:
         InputError: If the usage of the method is unknown, or if the selection names a question, family, template or
@@ -98,16 +63,15 @@ def estimate(store: Store, method: str, model: str, options: EvaluateOptions) ->
     """
     if method not in USAGE:
         raise InputError(f"--plan knows the calls of {', '.join(USAGE)}, not of {method}", field="method")
-    images = find_images(store, options.run.images)
-    simulated = options.endpoint.simulated or profile_of(model) is not None
-    with with_grey_pictures(store, images) if simulated else contextlib.nullcontext(images) as image_root:
+    simulated = declared(model, options.endpoint).simulated
+    with with_grey_pictures(store, find_images(store, options.run.images), simulated) as image_root:
         questions = select_questions(read_question_rows(store), options.selection, image_root)
     frames = {name: len(uniform_frames(info.frames)) for name, info in read_sequences(store).items()}
     totals = question_usage(method, [frames[question.sequence] for question in questions])
     totals["pictures"] = totals["panoramas"] + totals["crops"]
     if (tokens := prompt_tokens(totals, model)) is not None:
         totals["prompt_tokens"] = tokens
-    return Effort(method, model, len(questions), totals | _costs(totals, options.endpoint))
+    return len(questions), totals | _costs(totals, options.endpoint)
 
 
 def question_usage(method: str, panoramas: list[int]) -> dict[str, Total]:
@@ -145,20 +109,6 @@ def prompt_tokens(totals: Mapping[str, Total], model: str) -> Total | None:
     if panorama is None or crop is None:
         return None
     return totals["panoramas"] * panorama + totals["crops"] * crop + totals["text_tokens"]
-
-
-def mean_prompt_tokens(method: str, model: str) -> int | None:
-    """Return the expected prompt tokens of a question, rounded to hundreds.
-
-    Args:
-        method: A name of `METHODS`.
-        model: The id of the model.
-
-    Returns:
-        The tokens, None if the model's rule of resizing is not declared.
-    """
-    tokens = prompt_tokens(question_usage(method, [PANORAMAS]), model)
-    return None if tokens is None else round(int(tokens[0]), -2)
 
 
 def _costs(totals: Mapping[str, Total], endpoint: EndpointOptions) -> dict[str, Total]:

@@ -23,10 +23,9 @@ import pyarrow.compute as pc
 
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.simulated.profiles import Errors, changed_errors, parse_errors, profile_of
-from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.answering import HOPELESS, answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
-from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
+from jrdb_avr.engine.run.endpoint import Endpoint, declared, read_calibration, serving
 from jrdb_avr.engine.run.given import GIVEN, GivenPictures
 from jrdb_avr.engine.run.journal import Finished, world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
@@ -44,7 +43,7 @@ from jrdb_avr.engine.run.methods import (
     make_method,
     open_world,
 )
-from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
+from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions
 from jrdb_avr.engine.run.run import Run, add_world_counts, key_fingerprint, run_questions
 from jrdb_avr.queries.beliefs.graph import open_graph
 from jrdb_avr.queries.beliefs.record import merge_world
@@ -162,26 +161,28 @@ def evaluate(
     if method in DIAGNOSTIC and not store.question_path("answers").exists():
         raise StoreError(f"{method} is diagnostic: it needs the answers of the questions, which {store.path} lacks")
     playing, files, errors = options.method, options.run, _errors(model, options)
-    simulated = errors is not None or options.endpoint.simulated
+    simulated = declared(model, options.endpoint).simulated
     run_id = name_run(store, method, model, options)
-    image_root = find_images(store, files.images)
     with contextlib.ExitStack() as stack:
-        if simulated:
-            image_root = stack.enter_context(with_grey_pictures(store, image_root))
+        image_root = stack.enter_context(with_grey_pictures(store, find_images(store, files.images), simulated))
         chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
         bench = Bench(store, chosen, image_root, playing.opaque)
         run = stack.enter_context(Run(store, run_id))
-        world = stack.enter_context(_open_world(run, method))
+        world = stack.enter_context(open_world(store.run_path(run_id), run_id)) if method in WORLD_METHODS else None
         endpoint = None
         if model != NO_MODEL:
             endpoint = stack.enter_context(_connect(run, method, model, options, errors))
             if world is not None:
                 world.repeats = endpoint.repeats
-        given = None
-        if method in GIVEN:
-            names = {shown.question_id: row.question_id for shown, row in zip(bench.questions, chosen, strict=True)}
-            given = GivenPictures(store, bench.observer, names, method == "given-target")
-        player = _make(method, endpoint, world, playing, given)
+        player: ConfigurableMethod
+        if not isinstance(method, str):
+            player = CustomMethod(type(method).__name__, method)
+        elif is_custom(method):
+            player = load_custom_method(method, None if endpoint is None else endpoint.client)
+        else:
+            assert endpoint is not None, "built-in methods need a model: check_options"
+            given = GivenPictures(store, bench.observer, method == "given-target") if method in GIVEN else None
+            player = make_method(method, endpoint.client, endpoint.convention, world, playing, given)
         most = None if files.keep_going or endpoint is None else HOPELESS
         settings = {
             "method": player.settings(),
@@ -236,8 +237,7 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
     playing, endpoint, selection = options.method, options.endpoint, options.selection
     built_in = (*METHODS, *DIAGNOSTIC)
     if isinstance(method, str) and method not in built_in and not is_custom(method):
-        names = ", ".join(built_in)
-        raise InputError(f"{method!r} is not one of {names}, FILE.py:NAME or MODULE:NAME", field="method")
+        raise InputError(f"{method!r} is not one of {', '.join(built_in)}, FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in built_in:
         raise InputError(f"--model none: {method} needs a model", field="model")
     if playing.simulate and (profile_of(model) is None or endpoint.base_url is not None):
@@ -319,29 +319,6 @@ def _connect(
         for line in checked.warnings:
             warn(f"preflight: {line}")
         yield checked
-
-
-def _make(
-    method: str | Method,
-    endpoint: Endpoint | None,
-    world: WorldModel | None,
-    options: MethodOptions,
-    given: GivenPictures | None,
-) -> ConfigurableMethod:
-    """Return the method to run. Raise InputError if the user's own method cannot be imported or made."""
-    if not isinstance(method, str):
-        return CustomMethod(type(method).__name__, method)
-    if is_custom(method):
-        return load_custom_method(method, None if endpoint is None else endpoint.client)
-    assert endpoint is not None, "built-in methods need a model: check_options"
-    return make_method(method, endpoint.client, endpoint.convention, world, options, given)
-
-
-def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextManager[WorldModel | None]:
-    """Return the context of the run's world model, or of None if the method has no world model."""
-    if method not in WORLD_METHODS:
-        return contextlib.nullcontext()
-    return open_world(run.store.run_path(run.run_id), run.run_id)
 
 
 def _merge_world(run: Run) -> None:

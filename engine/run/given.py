@@ -11,13 +11,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 
+from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, StoreError
 from jrdb_avr.schema.method import Observation, Observe, Task
@@ -44,13 +45,12 @@ class GivenLook(NamedTuple):
 class GivenPictures:
     """The function from a task to the pictures that the proofs of its question need, in order of time."""
 
-    def __init__(self, store: Store, observe: Observe, ids: Mapping[str, str], marked: bool) -> None:
+    def __init__(self, store: Store, observe: Observe, marked: bool) -> None:
         """Read the looks in a child process.
 
         Args:
             store: A store with answers.
             observe: The function that returns a crop of a frame.
-            ids: The id in the store of each question, by the id that methods see.
             marked: Whether to draw the target's box in the picture of the time asked.
 
         Raises:
@@ -62,11 +62,12 @@ class GivenPictures:
         if done.returncode:
             raise StoreError(done.stderr.strip() or "the process that reads the needed boxes ended: try again")
         self._looks = msgspec.json.decode(done.stdout, type=dict[str, list[GivenLook]])
-        self._observe, self._ids, self._marked = observe, ids, marked
+        self._observe, self._stored_ids, self._marked = observe, stored_ids(store), marked
 
     def __call__(self, task: Task) -> list[Observation]:
         """Return the pictures of a question."""
-        looks = self._looks[self._ids[task.question.question_id]]
+        shown = task.question.question_id
+        looks = self._looks[self._stored_ids.get(shown, shown)]
         return [self._picture(task.question.sequence, look) for look in looks if look.frame in task.sequence.frames]
 
     def _picture(self, sequence: str, look: GivenLook) -> Observation:

@@ -19,7 +19,8 @@ from jrdb_avr.agent.model.messages import metadata_of, picture_of
 from jrdb_avr.agent.model.prompts import mode_text
 from jrdb_avr.engine.local_server import Request, Response
 from jrdb_avr.engine.run.bench import Bench
-from jrdb_avr.engine.run.playing import Play, due_questions
+from jrdb_avr.engine.run.journal import unanswered
+from jrdb_avr.engine.run.playing import Play
 from jrdb_avr.engine.run.run import Run
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -47,7 +48,7 @@ class HumanDesk:
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page
-        self._due = due_questions(bench, run)
+        self._due = [question.question_id for question in unanswered(bench.questions, run.finished)]
         self._play: Play | None = None
         self._observations: list[Observation] = []
         self._lock = threading.Lock()
@@ -87,7 +88,7 @@ class HumanDesk:
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             raise InputError("a move is a JSON object with question_id and move", field="move") from None
         play = self._play
-        if play is None or play.episode.over or play.episode.question.question_id != sent.question_id:
+        if play is None or play.episode.over or play.question_id != sent.question_id:
             return self._state("this question is not being played any more")
         error = ""
         try:
@@ -102,9 +103,9 @@ class HumanDesk:
     def _record(self) -> None:
         """Append the current question to the run if the question has ended. Raise StoreError if writing fails."""
         play = self._play
-        if play is not None and play.episode.over and play.episode.question.question_id in self._due:
+        if play is not None and play.episode.over and play.question_id in self._due:
             play.record(self._run)
-            self._due.remove(play.episode.question.question_id)
+            self._due.remove(play.question_id)
 
     def _state(self, error: str = "") -> Response:
         """Begin the next question if no question is in progress, and return the content of the page as JSON."""
@@ -134,10 +135,6 @@ class HumanDesk:
 
     def _look(self, question_id: str, text: str) -> Response:
         index = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else len(self._observations)
-        if (
-            self._play is None
-            or self._play.episode.question.question_id != question_id
-            or index >= len(self._observations)
-        ):
+        if self._play is None or self._play.question_id != question_id or index >= len(self._observations):
             raise InputError("there is no such look", field="number")
         return Response(picture_of(self._observations[index]).data, "image/jpeg", lasting=True)

@@ -87,11 +87,8 @@ def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
     """
     if has_manifest(store, run_id):
         manifest = read_run_manifest(store, run_id)
-        if (manifest.method, manifest.settings, manifest.questions_sha256) == (
-            IMPORTED,
-            settings,
-            questions_hash(store),
-        ):
+        begun = (manifest.method, manifest.settings, manifest.questions_sha256)
+        if begun == (IMPORTED, settings, questions_hash(store)):
             return True
     elif not any(not path.name.startswith(".") for path in store.run_path(run_id).glob("*")):
         # The folder is missing or has only hidden files. A killed import may have left hidden files.

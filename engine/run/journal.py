@@ -41,7 +41,7 @@ class Finished(msgspec.Struct, frozen=True):
     @property
     def failed(self) -> bool:
         """Whether the question ended in an error, so that a resumed run answers it again."""
-        return bool(self.prediction["status"] == "error")
+        return self.prediction.get("status") == "error"
 
 
 # This line runs at import, because msgspec crashes if several threads make a type's first decoder at the same time.
@@ -123,10 +123,9 @@ def _check(entry: Finished, question: Question) -> None:
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
         raise ValueError("the method returned or recorded a value that JSON cannot hold unchanged, such as NaN")
-    if row["status"] not in get_args(Status):
-        raise ValueError(f"{row['status']!a} is no status of a prediction"[:120])
-    if row["verdict"] not in (None, *get_args(Verdict)):
-        raise ValueError(f"{row['verdict']!a} is no verdict of a prediction"[:120])
+    for column, values in (("status", get_args(Status)), ("verdict", (None, *get_args(Verdict)))):
+        if row[column] not in values:
+            raise ValueError(f"{row[column]!a} is no {column} of a prediction"[:120])
     if row["answer"] is not None:
         decode_answer(question.answer_mode, row["answer"])
 
@@ -188,9 +187,8 @@ class KeptEntries(Mapping[str, Finished]):
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
         """Return the entries of the given questions. Questions that have no entry are left out."""
-        return KeptEntries(
-            self._folder, {name: self._positions[name] for name in question_ids if name in self._positions}
-        )
+        positions = self._positions
+        return KeptEntries(self._folder, {name: positions[name] for name in question_ids if name in positions})
 
     def by_sequence(self) -> Iterator[list[str]]:
         """Yield one list of sorted question ids per sequence, in the order of the sequences' names."""
@@ -199,9 +197,8 @@ class KeptEntries(Mapping[str, Finished]):
             yield [name for _, name in rows]
 
     def __getitem__(self, question_id: str) -> Finished:
-        position = self._positions[
-            question_id if question_id in self._positions else self._aliases.get(question_id, "")
-        ]
+        stored = question_id if question_id in self._positions else self._aliases.get(question_id, "")
+        position = self._positions[stored]
         path = segment_path(self._folder, position.sequence)
         try:
             with path.open("rb") as file:
@@ -341,11 +338,12 @@ def _read_line(path: Path, line_number: int, line: bytes) -> str:
 
 
 _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
-    "world": lambda entry: entry.world,
+    # A question that is asked again begins a new world model.
+    "world": lambda entry: [] if entry.failed else entry.world,
     "steps": lambda entry: entry.steps,
     "predictions": lambda entry: [entry.prediction],
 }
-"""Functions that return the rows of an entry, by the name of the table."""
+"""Functions that return the rows of an entry in a table, by the name of the table."""
 
 _GROUP: Final = 200
 """Maximum number of questions in a row group. The group's transcripts are in memory while it is written."""
@@ -387,10 +385,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
     def groups(table: str) -> Iterator[pa.Table]:
         for names in _packed(finished.by_sequence()):
-            entries = (finished[name] for name in names)
-            # A question that is asked again begins a new world model.
-            kept = (entry for entry in entries if table != "world" or not entry.failed)
-            group = run_table(run_id, table, kept)
+            group = run_table(run_id, table, (finished[name] for name in names))
             if group.num_rows:
                 yield group
 
@@ -421,5 +416,4 @@ def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
 
 def world_rows(run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
     """Return the table `world` of a run, without the rows of questions that ended in an error."""
-    entries = (finished[name] for name in sorted(finished))
-    return run_table(run_id, "world", (entry for entry in entries if not entry.failed))
+    return run_table(run_id, "world", (finished[name] for name in sorted(finished)))

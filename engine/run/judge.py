@@ -30,6 +30,7 @@ from jrdb_avr.schema.method import Prediction, Question
 
 _READY: Final = "ready"
 _UNKNOWN: Final = "unknown"
+_ENDED: Final = "the process that judges has ended: score the run afterwards"
 _SCORE: Final = re.compile(r"[01]{4}")
 
 
@@ -65,9 +66,9 @@ class Judge(contextlib.ExitStack):
         )
         self._lock = threading.Lock()
         self.callback(self._end)
-        if (line := self._line()) != _READY:
+        if (line := self._ask("")) != _READY:
             self.close()
-            raise StoreError(line or "the process that judges ended: score the run afterwards")
+            raise StoreError(line or _ENDED)
 
     @classmethod
     def open(cls, store: Store | str | Path) -> Judge:
@@ -100,23 +101,20 @@ class Judge(contextlib.ExitStack):
         Raise InputError if the store has no answer to the question, or StoreError if the child process has ended.
         """
         with self._lock:
-            try:
-                assert self._process.stdin is not None, "stdin is a pipe"
-                self._process.stdin.write(msgspec.json.encode(row).decode() + "\n")
-                self._process.stdin.flush()
-            except (OSError, ValueError):
-                raise StoreError("the process that judges has ended: score the run afterwards") from None
-            line = self._line()
+            line = self._ask(msgspec.json.encode(row).decode() + "\n")
         if line == _UNKNOWN:
             raise InputError(f"the store has no answer of question {row['question_id']!r}", field="question_id")
         if not _SCORE.fullmatch(line):
-            raise StoreError(line or "the process that judges has ended: score the run afterwards")
+            raise StoreError(line or _ENDED)
         answer, evidence, combined, invalid = map(int, line)
         return QuestionScore(answer, evidence, combined, bool(invalid))
 
-    def _line(self) -> str:
-        assert self._process.stdout is not None, "stdout is a pipe"
+    def _ask(self, text: str) -> str:
+        """Send a text to the child, and return its next line. Return "" if the child has ended."""
+        assert self._process.stdin is not None and self._process.stdout is not None, "both are pipes"
         try:
+            self._process.stdin.write(text)
+            self._process.stdin.flush()
             return self._process.stdout.readline().rstrip("\n")
         except (OSError, ValueError):
             return ""
@@ -157,8 +155,7 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
             print(_UNKNOWN, flush=True)
             continue
         table = pa.Table.from_pylist([row], RUNS["predictions"])
-        scores = score_predictions(truth, "", [row["question_id"]], table)
-        (score,) = scores.to_pylist()
+        (score,) = score_predictions(truth, "", [row["question_id"]], table).to_pylist()
         digits = (score["answer_score"], score["evidence_score"], score["combined_score"], int(score["invalid"]))
         print("".join(map(str, digits)), flush=True)
 

@@ -28,24 +28,15 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
     from jrdb_avr.agent.world.episode import WorldModel
-    from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
+    from jrdb_avr.schema.method import ConfigurableMethod, Method, Prediction, Task
 
 NO_MODEL: Final = "none"
 """Name that a manifest has instead of the id of a model if the method of the run calls no model."""
 
-METHODS: Final = (
-    "monolithic",
-    "chain-of-thought",
-    "search-recognize",
-    "react",
-    "agent",
-    "agent-passive",
-    "agent-no-world",
-    "agent-passive-no-world",
-)
-
-BASELINES: Final = METHODS[:4]
+BASELINES: Final = ("monolithic", "chain-of-thought", "search-recognize", "react")
 """Methods that have the set of prompts `paper`."""
+
+METHODS: Final = (*BASELINES, "agent", "agent-passive", "agent-no-world", "agent-passive-no-world")
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send all pictures again in every turn."""
@@ -148,12 +139,8 @@ class CustomMethod:
                 f"{spec} does not return a method: a method has a 'name' and 'answer(task)'", field="method"
             )
         self._spec = spec
-        self._method = method
-
-    @property
-    def name(self) -> str:
-        """The name of the method."""
-        return str(self._method.name)
+        self._method: Method = method
+        self.name = self._method.name
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the method.
@@ -162,13 +149,11 @@ class CustomMethod:
             A dict with two keys. "from" is FILE.py:NAME without the folder of the file, or MODULE:NAME. "settings" is
             what the user's own function `settings()` returns, or an empty dict if there is no such function.
         """
-        settings: Any = getattr(self._method, "settings", dict)()
-        return {"from": Path(self._spec).name, "settings": settings}
+        return {"from": Path(self._spec).name, "settings": getattr(self._method, "settings", dict)()}
 
     def answer(self, task: Task) -> Prediction:
         """Return the method's prediction for one question."""
-        prediction: Prediction = self._method.answer(task)
-        return prediction
+        return self._method.answer(task)
 
 
 def is_custom(spec: str) -> bool:

@@ -6,7 +6,6 @@ import contextlib
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -132,7 +131,8 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
         shutil.rmtree(left, ignore_errors=True)
     _require(store, run_id)
     folder = store.run_path(run_id)
-    with _idle(folder):
+    journal = journal_folder(folder)
+    with journal_lock(journal, "") if journal.exists() else contextlib.nullcontext():
         try:
             believes = read_run_manifest(store, run_id).method in WORLD_METHODS
         except StoreError:
@@ -153,14 +153,6 @@ def _require(store: Store, run_id: str) -> None:
     ids = run_ids(store)
     if run_id not in ids:
         raise StoreError(f"{store.path} has no run {run_id[:100]!r}{did_you_mean(run_id, ids)}")
-
-
-@contextlib.contextmanager
-def _idle(folder: Path) -> Iterator[None]:
-    """Hold the lock of a run's journal inside a `with` block. Raise LockedError if the run is in progress."""
-    journal = journal_folder(folder)
-    with journal_lock(journal, "") if journal.exists() else contextlib.nullcontext():
-        yield
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:

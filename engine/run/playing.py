@@ -10,7 +10,8 @@ from pathlib import Path
 
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.run.bench import Bench, find_images
-from jrdb_avr.engine.run.journal import finished_entry, unanswered
+from jrdb_avr.engine.run.evaluate import default_run_id
+from jrdb_avr.engine.run.journal import finished_entry
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.run import Run, key_fingerprint, run_questions
 from jrdb_avr.queries.store import Store
@@ -22,7 +23,7 @@ def played_run(
     store: Store,
     method: str,
     model: str,
-    run_id: str,
+    run_id: str | None = None,
     *,
     questions: QuestionSelection | None = None,
     limit: int | None = None,
@@ -36,7 +37,7 @@ def played_run(
         store: The store.
         method: The name of the method in the manifest.
         model: The name of the player. The manifest stores it as the name of the model.
-        run_id: The id of the run.
+        run_id: The id of the run. Default: an id that is made of the names of the method and the player.
         questions: The selection of questions. None selects all questions.
         limit: Maximum number of questions. None sets no maximum.
         resume: Whether to continue the run if it exists.
@@ -51,6 +52,7 @@ def played_run(
             be resumed.
         InputError: If the selection names a question, family, template or sequence that the store lacks.
     """
+    run_id = default_run_id(method, model) if run_id is None else run_id
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
     bench = Bench(store, chosen, image_root, opaque)
@@ -60,11 +62,6 @@ def played_run(
         run.start(method, model, ids, settings, bench.synthetic, selection)
         with contextlib.suppress(KeyboardInterrupt):
             yield bench, run
-
-
-def due_questions(bench: Bench, run: Run) -> list[str]:
-    """Return the ids of the questions that the run must still answer, in the order of the bench."""
-    return [question.question_id for question in unanswered(bench.questions, run.finished)]
 
 
 @dataclass
@@ -80,6 +77,11 @@ class Play:
         """Return a new play of a question, before its first move."""
         steps: list[Step] = []
         return cls(bench.episode(question_id, budget=BUDGET, record=lambda step: steps.append(step)), steps)
+
+    @property
+    def question_id(self) -> str:
+        """The id of the question."""
+        return self.episode.question.question_id
 
     def record(self, run: Run) -> None:
         """Append the entry of the question to the journal of the run."""

@@ -8,7 +8,8 @@ from environment import ROOT
 from fake_server import FakeServer
 from processes import run
 
-from jrdb_avr.engine.run.effort import USAGE, mean_prompt_tokens
+from jrdb_avr.agent.methods.requests import PANORAMAS
+from jrdb_avr.engine.run.effort import USAGE, prompt_tokens, question_usage
 from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.queries.store import read_table
 
@@ -94,9 +95,9 @@ def test_a_plan_of_another_method_is_refused(benchmark_copy):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_tokens_of_the_readme_are_computed(method):
-    cells = " | ".join(
-        f"{mean_prompt_tokens(method, model):,}" for model in ("Qwen/Qwen3.5-9B", "google/gemma-4-E4B-it")
-    )
+    usage = question_usage(method, [PANORAMAS])
+    tokens = [prompt_tokens(usage, model)[0] for model in ("Qwen/Qwen3.5-9B", "google/gemma-4-E4B-it")]
+    cells = " | ".join(f"{round(int(count), -2):,}" for count in tokens)
     row = next(
         line for line in (ROOT / "README.md").read_text("utf-8").splitlines() if line.startswith(f"| `{method}` |")
     )

@@ -29,7 +29,7 @@ def box(track, frame, x=100.0, decisive=False):
 def observe(sequence, frame_index, angle_deg):
     left = int(crop_left(angle_deg))
     image = np.zeros((480, 480, 3), np.uint8)
-    return Observation(sequence, frame_index, f"{frame_index:06d}", 0.0, angle_deg, 45.96, left, image)
+    return Observation(sequence, frame_index, 0.0, angle_deg, 45.96, left, image)
 
 
 @pytest.fixture
@@ -46,20 +46,20 @@ def store(tmp_path):
 
 
 def task(*frames):
-    question = Question("seen", "s", "?", ("a", "b"), "multiple_choice")
+    question = Question("q", "s", "?", ("a", "b"), "multiple_choice")
     return Task(question, SequenceInfo("s", 15.0, 100, frames), observe, None, print, print)
 
 
 def test_each_needed_person_and_time_is_one_picture_in_order_of_time(store):
-    shown = GivenPictures(store, observe, {"seen": "q"}, False)(task(5, 9))
+    shown = GivenPictures(store, observe, False)(task(5, 9))
     # The target comes first in a frame, and nothing is drawn.
     assert [(crop.frame_index, round(crop.angle_deg)) for crop in shown] == [(5, 11), (9, 1), (9, 11)]
     assert not any(crop.image.any() for crop in shown)
-    assert len(GivenPictures(store, observe, {"seen": "q"}, False)(task(9))) == 2, "frame 5 has no panorama"
+    assert len(GivenPictures(store, observe, False)(task(9))) == 2, "frame 5 has no panorama"
 
 
 def test_the_target_is_marked_only_in_the_picture_of_the_time_asked(store):
-    shown = GivenPictures(store, observe, {"seen": "q"}, True)(task(5, 9))
+    shown = GivenPictures(store, observe, True)(task(5, 9))
     assert [bool(crop.image.any()) for crop in shown] == [False, True, False]
     # The crop is centred on the box of 40 by 120 pixels, across the seam.
     rows, columns = np.nonzero(shown[1].image[..., 0])
@@ -77,7 +77,7 @@ def test_an_asked_frame_comes_with_the_frames_beside_it():
 def test_a_method_gets_pictures_alone_and_its_process_never_opens_the_answers(store):
     opened = []
     sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
-    pictures = GivenPictures(store, observe, {"seen": "q"}, True)
+    pictures = GivenPictures(store, observe, True)
     shown = pictures(task(5, 9))
     assert not [path for path in opened if "answers" in path or "evidence" in path]
     assert {type(crop) for crop in shown} == {Observation}
