@@ -27,14 +27,7 @@ Rows = Sequence[Mapping[str, Any]]
 class Evidence:
     """Rows of the two statements that sum evidence, and the bindings that follow from them."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        slots: Sequence[Slot],
-        singles: Rows,
-        pairs: Rows,
-        repeats: Repeats,
-    ) -> None:
+    def __init__(self, plan: Plan, slots: Sequence[Slot], singles: Rows, pairs: Rows, repeats: Repeats) -> None:
         self._slots, self._repeats = slots, repeats
         singles, pairs = (
             [{**row, "weight": round(row["weight"], _DIGITS)} for row in rows] for rows in (singles, pairs)
