@@ -33,6 +33,9 @@ def run(*arguments):
             code = 0
         except SystemExit as exit_:
             code = exit_.code
+            if isinstance(code, str):
+                # As Python ends a process.
+                code = print(code, file=err) or 1
     return code, *(stream.buffer.getvalue().decode() for stream in (out, err))
 
 

@@ -107,11 +107,11 @@ def test_the_weights_of_a_model_are_measured_stored_and_taken_by_later_runs(tmp_
 def test_the_world_model_of_a_run_weighs_repeats_as_calibrated(benchmark_copy, monkeypatch):
     worlds = []
 
-    def stop(method, endpoint, world, options):
+    def stop(name, client, convention, world, playing, given):
         worlds.append(world.repeats)
         raise StoreError("stop")
 
-    monkeypatch.setattr(evaluating, "_make", stop)
+    monkeypatch.setattr(evaluating, "make_method", stop)
     model = {"model": "simulated", "served_model": "simulated", "response_format": "json_schema", "thinking": "off"}
     unread = {"asked_sha256": "", "asked": 0, "readable": 0, "scores": (), "boxes": {}, "scales": {}}
     measured = {"frame_errors": ErrorCorrelation(correlation=0.6), "person_errors": ErrorCorrelation(correlation=0.0)}
