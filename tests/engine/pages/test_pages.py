@@ -93,6 +93,19 @@ def report(tmp_path_factory):
     return path / "report.html"
 
 
+@pytest.mark.slow
+def test_each_row_of_the_budgets_of_looks_has_the_cells_of_the_header(benchmark_copy, tmp_path):
+    for looks in (2, 3):
+        options = ("--model", "simulated:perfect", "--limit", 2, "--looks", looks, "--run-id", f"of-{looks}")
+        assert run("evaluate", "--store", benchmark_copy.path, "--method", "react", *options)[0] == 0
+    assert run("report", "--store", benchmark_copy.path, "--html", tmp_path / "report.html")[0] == 0
+    text = (tmp_path / "report.html").read_text("utf-8")
+    assert "Budget of looks" in text
+    for shown_table in re.findall(r'<table class="plain.*?</table>', text, re.DOTALL):
+        rows = re.findall(r"<tr.*?</tr>", shown_table, re.DOTALL)
+        assert len({len(re.findall(r"<t[dh][ >]", row)) for row in rows}) == 1
+
+
 def test_the_report_shows_its_tables_and_nothing_else_runs(opened, report):
     driver, _ = opened
     visit(driver, report)
