@@ -306,4 +306,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Worker processes do not import the main module, so they find `make_run` under the name of this file.
+    import bench_agent
+
+    bench_agent.main()

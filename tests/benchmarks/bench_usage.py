@@ -60,14 +60,18 @@ def main() -> None:
     """Make the runs that are missing, and print the file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench-usage"), help="folder of the store and the runs")
-    out = parser.parse_args().out.resolve()
+    parser.add_argument("--smallest", action="store_true", help="two questions without noise")
+    given = parser.parse_args()
+    out = given.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     store = Store(make_sample(out, smallest=True))
-    selection = QuestionSelection(questions=choose_questions(read_question_rows(store), QUESTIONS))
+    selection = QuestionSelection(
+        questions=choose_questions(read_question_rows(store), 2 if given.smallest else QUESTIONS)
+    )
     print(HEAD)
     for method in METHODS:
         counts = []
-        for profile, changes in list(PROFILES.items())[: 1 if method in FIXED else None]:
+        for profile, changes in list(PROFILES.items())[: 1 if method in FIXED or given.smallest else None]:
             run_id = f"{profile.replace(' ', '-').replace('%', 'percent')}-{method}-1"
             if not (store.run_path(run_id) / "predictions.parquet").exists():
                 options = MethodOptions(simulate=("seed=1", *changes))
