@@ -101,9 +101,9 @@ class Convention:
         rounding: Callable[[float], int] = round
         scale, pixels = 1.0, self._multiples(width) * self._multiples(height)
         if self.fills or pixels > self.image_pixels > 0:
-            rounding, scale = math.floor, math.sqrt(self.image_pixels / (width * height))
+            rounding, scale = math.floor, math.sqrt(self.image_pixels / max(width * height, 1))
         elif pixels < self.least_pixels:
-            rounding, scale = math.ceil, math.sqrt(self.least_pixels / (width * height))
+            rounding, scale = math.ceil, math.sqrt(self.least_pixels / max(width * height, 1))
         return self._multiples(width * scale, rounding), self._multiples(height * scale, rounding)
 
     def picture_tokens(self, width: int, height: int) -> int | None:
