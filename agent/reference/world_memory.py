@@ -285,7 +285,9 @@ class WorldMemory:
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
 
     def due_looks(self, left: int) -> Sequence[NextLook]:
-        """Return the best look, and the next ones too while they search the same frame for a person of the plan.
+        """Return the best look, and the next ones too while they search the same frame.
+
+        The first look at a frame is alone, unless it identifies people, because it usually shows the person.
 
         Args:
             left: Number of looks that are left.
@@ -296,11 +298,12 @@ class WorldMemory:
         due: list[NextLook] = []
         tracks, frames = self.world.tracks, self.attempt.task.sequence.frames
         advised = self.advised_looks(left)[:1]
-        while advised and (not due or (advised[0].purpose == "identify" and advised[0].frame == due[0].frame)):
+        while advised and (not due or (advised[0].frame, advised[0].purpose) == (due[0].frame, due[0].purpose)):
             due += advised
             columns = SeenColumns(int(crop_left(advised[0].angle)), CROP)
             tracks = tracks.with_people(columns, advised[0].frame, ())
-            more = due[0].purpose == "identify" and len(due) < min(left, MOST_LOOKS)
+            searches = due[0].purpose == "identify" or due[0].frame in self.world.tracks.looks
+            more = searches and len(due) < min(left, MOST_LOOKS)
             advised = next_looks(self.plan, tracks, self._likely(), left - len(due), frames, 1) if more else ()
         return due
 
