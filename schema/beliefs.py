@@ -23,7 +23,7 @@ agent's episode by this hash, because the engine compares it faster than the key
 from __future__ import annotations
 
 from hashlib import sha256
-from typing import Final, Literal
+from typing import Any, Final, Literal
 from uuid import UUID
 
 import msgspec
@@ -324,7 +324,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     hypotheses: tuple[HypothesisRow, ...] = ()
 
 
-_TYPES: Final = {
+_TYPES: Final[dict[Any, str]] = {
     str: "STRING",
     int: "INT64",
     float: "DOUBLE",
