@@ -8,6 +8,7 @@ guess by a hash of the choices.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -15,6 +16,7 @@ from typing import Final, NamedTuple
 from jrdb_avr.agent.look.moments import Bracket, absence, brackets, postures
 from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, frames_of, slot_supports
 from jrdb_avr.agent.perceive.expectation import expected_place
+from jrdb_avr.agent.perceive.geometry import FIRST
 from jrdb_avr.agent.perceive.votes import CERTAIN, UNIT, SlotState, Tracks
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import Answer, Choice, Number
@@ -25,11 +27,8 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
 
-CLEAR_ODDS: Final = 1.0
-"""Minimum log-odds of the binding of a certain target."""
-
-CLEAR_MARGIN: Final = 2.0
-"""Minimum log-odds by which a certain target is ahead of the next one."""
+CLEAR_SHARE: Final = 0.65
+"""Minimum probability of a certain target among all people who were read, if one of them is meant."""
 
 CLEAR_HEIGHT: Final = 80.0
 """Minimum height in pixels of a certain target, because readings of smaller people are often wrong."""
@@ -130,8 +129,10 @@ def conclude(
     if not states or hypothesis.log_odds <= 0:
         verdict: Verdict = "guess"
     else:
-        clear = hypothesis.log_odds >= CLEAR_ODDS and hypothesis.margin >= CLEAR_MARGIN and box.h >= CLEAR_HEIGHT
-        clear = clear and not _is_neither(answer, choices)
+        share = math.exp(hypothesis.log_odds) / sum(math.exp(item.log_odds) for item in best.values())
+        clear = share >= CLEAR_SHARE and box.h >= CLEAR_HEIGHT and not _is_neither(answer, choices)
+        # A person who is missed on the way moves all later ends of a chain by one person.
+        clear = clear and not any(edge.relation in FIRST for edge in plan.edges)
         verdict = "certain" if clear and {state, *states} == {"certain"} else "supported"
     return Conclusion(answer, entity, box_frame, box, verdict)
 

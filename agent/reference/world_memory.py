@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 
 import msgspec
 
-from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
+from jrdb_avr.agent.look.answer import Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
@@ -48,6 +48,9 @@ MOST_LOOKS: Final = 3
 
 _MOST_PEOPLE: Final = 12
 """Maximum number of people in the line `World`. The tool `get_graph` lists all."""
+
+_CLEAR_MARGIN: Final = 2.0
+"""Minimum margin in log-odds of a best binding that is shown alone."""
 
 _MOST_BINDINGS: Final = 2
 """Maximum number of likely bindings in the line `World`."""
@@ -144,7 +147,7 @@ class WorldMemory:
         bindings = self._likely()
         best = bindings[0] if bindings else None
         # A binding that is clearly ahead is shown alone, to save tokens.
-        shown = bindings[: 1 if best is None or best.margin >= CLEAR_MARGIN else _MOST_BINDINGS]
+        shown = bindings[: 1 if best is None or best.margin >= _CLEAR_MARGIN else _MOST_BINDINGS]
         likely = [{"nodes": dict(binding.nodes), "log_odds": round(binding.log_odds, 1)} for binding in shown]
         world = {
             "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
