@@ -17,7 +17,7 @@ import msgspec
 
 from jrdb_avr.agent.look.answer import Conclusion, conclude, near_targets, needs_everyone
 from jrdb_avr.agent.look.moments import group_changes
-from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, parts_of
+from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each
 from jrdb_avr.agent.perceive.fields import perceivable
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
@@ -360,14 +360,11 @@ class WorldEpisode:
         """
         return self._read_evidence().bindings
 
-    def slots(self, hypothesis: RankedHypothesis) -> tuple[SlotSupport, ...]:
+    def slots(self, hypothesis: RankedHypothesis) -> list[SlotSupport]:
         """Return the support of each part of the plan under a binding, by the same rows as the bindings."""
-        assert self.plan is not None
-        evidence, supports = self._read_evidence(), []
-        for part, slot in zip(parts_of(self.plan), evidence.parts, strict=True):
-            people = [hypothesis.nodes.get(node, "") for node in part.nodes]
-            supports.append(SlotSupport(part, evidence.support(slot, *people)))
-        return tuple(supports)
+        evidence, nodes = self._read_evidence(), hypothesis.nodes
+        parts = [(slot.part, slot) for slot in self._slots if slot.part is not None]
+        return [(part, evidence.support(slot, *(nodes.get(node, "") for node in part.nodes))) for part, slot in parts]
 
     def conclude(self, choices: Sequence[str], frames: Sequence[int]) -> Conclusion | None:
         """Return the answer that the graph supports.
