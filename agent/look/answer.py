@@ -125,7 +125,7 @@ def conclude(
         return Conclusion(guess_choice(choices) if choices else guess, entity, box_frame, box, "guess")
     hypothesis = best[entity]
     supports = slot_supports(plan, tracks, hypothesis) if slots is None else slots(hypothesis)
-    states = [slot.state for slot in supports]
+    states = [support.state for _, support in supports]
     if not states or hypothesis.log_odds <= 0:
         verdict: Verdict = "guess"
     else:
@@ -246,12 +246,9 @@ class _Reader:
 
     def _nearest_posture(self, values: Sequence[str], frame: int) -> Choice | None:
         """Return the offered posture that is nearest to the posture that was read, None without one."""
-        tallies = [tally for tally in self.tracks.values(self.entity, "pose", frame) if tally.log_odds > 0]
-        for tally in tallies[:1]:
-            for posture in nearest_postures(tally.value):
-                if posture in values:
-                    return Choice(values.index(posture) + 1)
-        return None
+        likeliest, odds = next(iter(self.tracks.values(self.entity, "pose", frame).items()), ("", 0.0))
+        near = (posture for posture in nearest_postures(likeliest) if odds > 0 and posture in values)
+        return next((Choice(values.index(posture) + 1) for posture in near), None)
 
     def _next_action(self) -> ReadAnswer:
         """Return the first other posture that is one of the choices."""
@@ -261,7 +258,7 @@ class _Reader:
         first = next(iter(course.values()), "")
         for at, posture in course.items():
             if at > after and posture != first and (choice := self._choice(posture)) is not None:
-                sure = self.tracks.values(self.entity, "pose", at)[0].log_odds >= CERTAIN and not is_doubted(posture)
+                sure = max(self.tracks.values(self.entity, "pose", at).values()) >= CERTAIN and not is_doubted(posture)
                 return ReadAnswer(choice, at, "certain" if sure else "supported")
         return ReadAnswer(None, after, "open")
 

@@ -181,7 +181,7 @@ class _Attention:
         """Whether readings support each part of the plan, and the best target has a margin over the others."""
         if not self.hypotheses or self.hypotheses[0].margin < UNIT / 2:
             return False
-        return all(slot.support.log_odds > 0 for slot in slot_supports(self.plan, self.tracks, self.hypotheses[0]))
+        return all(support.log_odds > 0 for _, support in slot_supports(self.plan, self.tracks, self.hypotheses[0]))
 
     @property
     def target(self) -> str | None:
