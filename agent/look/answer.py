@@ -27,6 +27,9 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
 
+CLEAR_ODDS: Final = 1.0
+"""Minimum log-odds of the binding of a certain target."""
+
 CLEAR_SHARE: Final = 0.65
 """Minimum probability of a certain target among all people who were read, if one of them is meant."""
 
@@ -130,9 +133,9 @@ def conclude(
         verdict: Verdict = "guess"
     else:
         share = math.exp(hypothesis.log_odds) / sum(math.exp(item.log_odds) for item in best.values())
-        clear = share >= CLEAR_SHARE and box.h >= CLEAR_HEIGHT and not _is_neither(answer, choices)
+        clear = hypothesis.log_odds >= CLEAR_ODDS and share >= CLEAR_SHARE and box.h >= CLEAR_HEIGHT
         # A person who is missed on the way moves all later ends of a chain by one person.
-        clear = clear and not any(edge.relation in FIRST for edge in plan.edges)
+        clear = clear and not any(edge.relation in FIRST for edge in plan.edges) and not _is_neither(answer, choices)
         verdict = "certain" if clear and {state, *states} == {"certain"} else "supported"
     return Conclusion(answer, entity, box_frame, box, verdict)
 

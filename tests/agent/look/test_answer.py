@@ -20,7 +20,7 @@ from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.answers import Choice, Number
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 
 FRAMES = range(0, 900)
 
@@ -108,6 +108,7 @@ def test_the_evidence_is_a_whole_box_at_a_frame_of_the_description():
 
 
 ACTION = reading_at(WOMAN, "action", "multiple_choice", 15)
+FIRST_LEFT = "first to the left of (robot view)"
 HOLDS = Condition(object="bag", verb="holding", at="t0")
 OFFERED = ("walking", "standing", "writing", "reading", "holding sth")
 
@@ -178,6 +179,15 @@ def test_a_verdict_is_certain_only_if_person_and_answer_are():
     # Another woman is as likely, and small people are often read wrongly.
     assert verdict(bag, plan=tall, p2=(bag,)) == "supported"
     assert verdict(replace(bag, box=bag.box._replace(h=79.0)), plan=tall) == "supported"
+    # Each further person who was read a little takes probability from the target.
+    women = {f"p{n}": (sits,) for n in range(2, 9)}
+    assert verdict(bag, plan=tall, p2=(sits,)) == "certain" and verdict(bag, plan=tall, **women) == "supported"
+    # A missed person moves a chain.
+    beside = replace(sits, box=sits.box._replace(x=sits.box.x - 200))
+    for relation, expected in (("within 30 degrees to the left of (robot view)", "certain"), (FIRST_LEFT, "supported")):
+        edges = (Edge("a", relation, "b", "t0"),)
+        chain = Plan("a", "a", ACTION.times, (*tall.nodes, Node("b")), edges, ACTION.answer)
+        assert verdict(bag, plan=chain, p2=(beside,)) == expected, relation
     # An open part of the plan, and an answer that was not read.
     assert verdict(replace(stands, labels=stands.labels[1:])) == "guess"
     assert verdict(read(15, "bending")) == "supported" and verdict(read(15)) == "guess"
