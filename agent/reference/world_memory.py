@@ -168,14 +168,15 @@ class WorldMemory:
         people = {}
         for person in sorted(last, key=lambda person: (person not in first, -int(last[person].observation[1:])))[:most]:
             newest = last[person]
-            values = [tallies[0].value for topic in _TOPICS if (tallies := tracks.values(person, topic, None))]
+            values = [next(iter(odds)) for topic in _TOPICS if (odds := tracks.values(person, topic, None))]
             people[person] = ", ".join([*values, f"{newest.frame:06d} at {newest.angle:.0f}"])
         return people
 
     def _open(self, best: RankedHypothesis) -> list[str]:
         """Describe the parts of the plan that the best binding leaves open or contradicts."""
-        slots = [slot for slot in self.world.slots(best) if slot.state in ("open", "contradicted")]
-        return [f"{_part_text(slot.part)}: {slot.state}" for slot in slots[:_MOST_OPEN]]
+        slots = [(part, support.state) for part, support in self.world.slots(best)]
+        lines = [f"{_part_text(part)}: {state}" for part, state in slots if state in ("open", "contradicted")]
+        return lines[:_MOST_OPEN]
 
     def _supported(self) -> dict[str, Any] | None:
         """Return the answer that the graph supports, in the form of a final answer."""
@@ -278,8 +279,6 @@ class WorldMemory:
         Returns:
             At most three looks, the best first.
         """
-        if left <= 0:
-            return ()
         frames = self.attempt.task.sequence.frames
         choices = self.attempt.task.question.choices
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
@@ -387,7 +386,7 @@ class WorldMemory:
         bindings = self._likely()[:_MOST_RECORDED]
         slots = [self.world.slots(binding) for binding in bindings]
         parts = [
-            {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
+            {"part": _part_text(row[0][0]), "support": [(support.log_odds, support.state) for _, support in row]}
             for row in zip(*slots, strict=True)
         ]
         decision = {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}

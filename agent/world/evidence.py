@@ -45,7 +45,6 @@ class Evidence:
             symmetric = slot.name in SYMMETRIC and slot.origin == "model"
             for source, target in (ends, ends[::-1]) if symmetric else (ends,):
                 self._votes[row["slot"], source, target].append((row["frame"], row["weight"]))
-        self.parts = [slot for slot in slots if slot.part is not None]
         edges = edges_of(plan)
         entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}
         alone = {

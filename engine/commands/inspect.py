@@ -76,13 +76,14 @@ def command(
 
 
 def _import(store: Store, decisions: Path, reviewer: str, form: RowFormat) -> None:
-    from jrdb_avr.engine.pages.reviews import agreements, import_decisions, read_decisions
+    from jrdb_avr.engine.pages.reviews import import_decisions, read_decisions
+    from jrdb_avr.queries.statements import read_statement
 
     if not 1 <= len(reviewer) <= 80 or not reviewer.isprintable():
         raise click.UsageError("--reviewer is a name of 1 to 80 printable characters")
     read = read_decisions(decisions, store)
     reviews = import_decisions(store, reviewer, read.decisions)
-    rows = agreements(store)
+    rows = store.sql(read_statement("stats/agreements.sql")).to_pylist()
     if form:
         print_data(rows, form)
     elif rows:
