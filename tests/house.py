@@ -29,7 +29,7 @@ BUDGETS = {
     "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,
-    "agent/methods": 540,
+    "agent/methods": 545,
     "agent/simulated": 950,
     "agent": 2750,
     "__init__.py": 60,

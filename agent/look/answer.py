@@ -292,23 +292,19 @@ class _Reader:
     # -- moments and numbers ------------------------------------------------------------------------------------------
 
     def _moments(self) -> ReadAnswer:
-        events = [self._bracket(index) for index in range(len(self.plan.answer.times))]
-        moments = [self._moment(index, event) for index, event in enumerate(events)]
-        state = _weakest("open" if event is None else event.state for event in events)
-        frame = next((event.high for event in events if event is not None and event.high is not None), None)
+        indexes = range(len(self.plan.answer.times))
+        events = [self._bracket(index) or Bracket(self._began(index), None) for index in indexes]
+        # The moment of an event that was not seen is the middle of the time in which it may lie.
+        moments = [event.middle or (event.low + self.frames[-1]) / 2 for event in events]
+        state = _weakest(event.state for event in events)
+        frame = next((event.high for event in events if event.high is not None), None)
         first, last = round(moments[0]), round(moments[-1])
-        sighted = [event is not None and event.high is not None for event in events]
+        sighted = [event.high is not None for event in events]
         passed = (moments[-1] - moments[0]) / FPS
         seconds = max(passed, 1.0 if sighted[-1] else _LIKELY_S) if sighted[0] else _LIKELY_S
         angle = expected_place(self.tracks.people[self.entity], first).angle
         answer = MODES[self.plan.answer.mode].make((first, max(first, last)), angle, seconds)
         return ReadAnswer(answer, self._described() if frame is None else frame, state)
-
-    def _moment(self, index: int, bracket: Bracket | None) -> float:
-        """Return the moment of an event. If it was not seen, return the middle of the time in which it may lie."""
-        if bracket is None:
-            return (self._began(index) + self.frames[-1]) / 2
-        return bracket.middle or (bracket.low + self.frames[-1]) / 2
 
     def _count(self) -> ReadAnswer:
         first, last = (self._stated(index) for index in (0, 1))

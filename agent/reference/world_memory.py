@@ -279,8 +279,6 @@ class WorldMemory:
         Returns:
             At most three looks, the best first.
         """
-        if left <= 0:
-            return ()
         frames = self.attempt.task.sequence.frames
         choices = self.attempt.task.question.choices
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
