@@ -15,7 +15,7 @@ import click
 from jrdb_avr.engine.commands._complete import complete_run
 
 if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.store import Store as Store
 else:
     # Commands name this class only in annotations, and its import would slow down the start of each command.
     Store = Any
@@ -32,7 +32,7 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
     """Return the store at a path, or None if the path is None. Raise StoreError if a newer program wrote the store."""
     from jrdb_avr.queries.manifest import refuse_newer
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.store import Store as Store
 
     if path is None:
         return None
