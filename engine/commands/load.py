@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, executor_option, form_option, given, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.errors import StoreError
@@ -73,8 +73,7 @@ def command(
     if root is not None and options["fingerprint"] is not None:
         _describe(root, options["fingerprint"])
         return
-    if store is None:
-        raise click.UsageError("Missing option '--store'.")
+    store = given(store)
     if options["verify"]:
         _verify(store, form)
         return
