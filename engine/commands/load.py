@@ -62,9 +62,9 @@ def command(
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
       jrdb-avr load ~/jrdb/train_dataset_with_activity --fingerprint jrdb.json
     """
+    from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.fingerprint import renamed_folders
     from jrdb_avr.loaders.releases import compare_releases
-    from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals
     from jrdb_avr.queries.graph.database import UNLIMIT
 
