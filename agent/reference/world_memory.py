@@ -23,6 +23,7 @@ from jrdb_avr.agent.model.messages import Message, Part
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.perceive.fields import Field
 from jrdb_avr.agent.perceive.geometry import SeenColumns
+from jrdb_avr.agent.perceive.votes import UNIT
 from jrdb_avr.agent.reference.tools import (
     GRAPH_TOOLS,
     listed,
@@ -48,9 +49,6 @@ MOST_LOOKS: Final = 3
 
 _MOST_PEOPLE: Final = 12
 """Maximum number of people in the line `World`. The tool `get_graph` lists all."""
-
-_CLEAR_MARGIN: Final = 2.0
-"""Minimum margin in log-odds of a best binding that is shown alone."""
 
 _MOST_BINDINGS: Final = 2
 """Maximum number of likely bindings in the line `World`."""
@@ -142,8 +140,8 @@ class WorldMemory:
         """Return what the line `World` states: also the supported answer, if no further look is advised."""
         bindings = self._likely()
         best = bindings[0] if bindings else None
-        # A binding that is clearly ahead is shown alone, to save tokens.
-        shown = bindings[: 1 if best is None or best.margin >= _CLEAR_MARGIN else _MOST_BINDINGS]
+        # A binding that is one reading ahead is shown alone, to save tokens.
+        shown = bindings[: 1 if best is None or best.margin >= UNIT else _MOST_BINDINGS]
         likely = [{"nodes": dict(binding.nodes), "log_odds": round(binding.log_odds, 1)} for binding in shown]
         world = {
             "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
