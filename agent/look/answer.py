@@ -17,7 +17,7 @@ from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_e
 from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.votes import CERTAIN, UNIT, SlotState, Tracks
 from jrdb_avr.schema.answer_modes import MODES
-from jrdb_avr.schema.answers import Answer, Choice, Number
+from jrdb_avr.schema.answers import Answer, AnswerMode, Choice, Number
 from jrdb_avr.schema.beliefs import free_value
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice, choice_of
 from jrdb_avr.schema.method import Verdict
@@ -122,8 +122,7 @@ def conclude(
     box_frame, box = _evidence(tracks, entity, frame, described)
     if answer is None:
         angle = expected_place(tracks.people[entity], frame).angle
-        guess = MODES[plan.answer.mode].make((frame, frame), angle)
-        return Conclusion(guess_choice(choices) if choices else guess, entity, box_frame, box, "guess")
+        return Conclusion(guess_answer(plan.answer.mode, choices, frame, angle), entity, box_frame, box, "guess")
     hypothesis = best[entity]
     supports = slot_supports(plan, tracks, hypothesis) if slots is None else slots(hypothesis)
     states = [support.state for _, support in supports]
@@ -147,6 +146,21 @@ def needs_everyone(plan: Plan) -> bool:
     """Return whether the answer depends on readings of other people than the target."""
     grouped = plan.answer.attribute == "group_size" or any(time.is_group_event for time in plan.times.values())
     return grouped or plan.answer.read == "count"
+
+
+def guess_answer(mode: AnswerMode, choices: Sequence[str], frame: int, angle: float) -> Answer:
+    """Return a guess: the choice of `guess_choice`, or without choices a frame and an angle.
+
+    Args:
+        mode: Answer mode of the question.
+        choices: Choices of the question.
+        frame: The frame.
+        angle: Panorama angle in degrees.
+
+    Returns:
+        The answer.
+    """
+    return guess_choice(choices) if choices else MODES[mode].make((frame, frame), angle)
 
 
 def guess_choice(choices: Sequence[str]) -> Choice:

@@ -115,12 +115,9 @@ def perceivable(plan: Plan, changes: Mapping[str, int] = MappingProxyType({})) -
     people = [node for node in plan.nodes if node.id not in things]
     joins = [edge for edge in plan.edges if edge.target in things and edge.relation not in RELATIONS]
     joins = [edge for edge in joins if edge.relation in VERBS or _free_name(edge) not in _TAKEN]
+    added = [(edge.source, _of_thing(edge, things[edge.target])) for edge in joins]
     nodes = tuple(
-        Node(
-            node.id,
-            (*node.conditions, *(_of_thing(edge, things[edge.target]) for edge in joins if edge.source == node.id)),
-        )
-        for node in people
+        Node(node.id, (*node.conditions, *(part for end, part in added if end == node.id))) for node in people
     )
     answer, target = plan.answer, plan.target
     if answer.of in things:

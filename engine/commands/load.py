@@ -62,9 +62,9 @@ def command(
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
       jrdb-avr load ~/jrdb/train_dataset_with_activity --fingerprint jrdb.json
     """
-    from jrdb_avr.engine.integrations.fingerprint import renamed_folders
-    from jrdb_avr.engine.integrations.releases import compare_releases
     from jrdb_avr.loaders import load as loading
+    from jrdb_avr.loaders.fingerprint import renamed_folders
+    from jrdb_avr.loaders.releases import compare_releases
     from jrdb_avr.loaders.report import totals
     from jrdb_avr.queries.graph.database import UNLIMIT
 
@@ -122,7 +122,7 @@ def command(
 def _describe(root: Path, file: Path) -> None:
     import msgspec
 
-    from jrdb_avr.engine.integrations.fingerprint import fingerprint
+    from jrdb_avr.loaders.fingerprint import fingerprint
     from jrdb_avr.queries.files import write_bytes
 
     write_bytes(file, msgspec.json.format(msgspec.json.encode(fingerprint(root)), indent=1) + b"\n")
