@@ -17,6 +17,7 @@ from jrdb_avr.engine.commands._options import (
     store_option,
 )
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
+from jrdb_avr.schema.errors import StoreError
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -81,6 +82,10 @@ def generate(
     if made.faults:
         note(f"{len(made.faults)} candidates were not confirmed by another program: this is a fault of the software")
         sys.exit(1)
+    if (held_out := options["disjoint_from"]) and not any(row["reached"] for row in made.selection):
+        raise StoreError(
+            f"no question is left that is disjoint from {held_out}: hold out fewer questions or load more sequences"
+        )
 
 
 def _with_guessers(row: Mapping[str, Any]) -> dict[str, Any]:
