@@ -174,8 +174,7 @@ class Store(Displayed):
         """Issue an AvrWarning if the questions are a training set."""
         if record := self.training_set():
             apart = f", disjoint from generation {record[DISJOINT_KEY][:12]}" if record.get(DISJOINT_KEY) else ""
-            line = f"{self.path} holds a training set (profile {record[PROFILE_KEY]}{apart}), not a benchmark"
-            warn(line)
+            warn(f"{self.path} holds a training set (profile {record[PROFILE_KEY]}{apart}), not a benchmark")
 
     def refuse_training(self) -> None:
         """Raise StoreError if the questions are a training set, which must not be published as a benchmark."""
@@ -358,40 +357,38 @@ def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[s
     """
     table = table.select(schema.names)
     groups = (table.slice(start, ROW_GROUP) for start in range(0, table.num_rows, ROW_GROUP))
-    return _write(path, groups, schema, with_numbered(schema, table), metadata)
+    return write_groups(path, groups, schema, metadata, with_numbered(schema, table))
 
 
 def write_groups(
-    path: Path, groups: Iterable[pa.Table], schema: pa.Schema, metadata: dict[str, str] | None = None
+    path: Path,
+    groups: Iterable[pa.Table],
+    schema: pa.Schema,
+    metadata: dict[str, str] | None = None,
+    kinds: pa.Schema | None = None,
 ) -> str:
     """Write several tables to one Parquet file atomically, and return the sha256 of the file in hexadecimal digits.
 
-    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes the other arguments.
+    Each table becomes a row group. Only one table is in memory at a time. The file has the types of `kinds`, and
+    readers get the types of `schema`. `write_table` describes the other arguments.
     """
-    return _write(path, groups, schema, schema, metadata)
+    # Readers take the column types from this entry. Without the entry, readers would return dictionary columns.
+    read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
+
+    def write(temporary: Path) -> None:
+        with pq.ParquetWriter(temporary, kinds or schema, store_schema=False, **_parquet_options(schema)) as writer:
+            for group in groups:
+                writer.write_table(group.select(schema.names).cast(kinds or schema).unify_dictionaries())
+            writer.add_key_value_metadata({**(metadata or {}), "ARROW:schema": read_as})
+
+    write_atomic(path, write)
+    return file_hash(path)
 
 
 def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
     """Return a copy of the schema, with the table's type for each column that is a dictionary column in the table."""
     kinds = [(field, table.schema.field(field.name).type) for field in schema]
     return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
-
-
-def _write(
-    path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
-) -> str:
-    """Write tables with the types of `kinds`, and return the file's sha256. Readers get the types of `schema`."""
-    # Readers take the column types from this entry. Without the entry, readers would return dictionary columns.
-    read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
-
-    def write(temporary: Path) -> None:
-        with pq.ParquetWriter(temporary, kinds, store_schema=False, **_parquet_options(schema)) as writer:
-            for group in groups:
-                writer.write_table(group.select(schema.names).cast(kinds).unify_dictionaries())
-            writer.add_key_value_metadata({**(metadata or {}), "ARROW:schema": read_as})
-
-    write_atomic(path, write)
-    return file_hash(path)
 
 
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:

@@ -22,9 +22,8 @@ agent's episode by this hash, because the engine compares it faster than the key
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from hashlib import sha256
-from typing import Final, Literal
+from typing import Any, Final, Literal
 from uuid import UUID
 
 import msgspec
@@ -68,8 +67,11 @@ Tool = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class Write:
+class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Row of a world table. The fields are the columns."""
+
+
+class Write(_Row, frozen=True):
     """One write of an agent into its world model, accepted or refused.
 
     A write is stored as a row of `world.parquet` and as a `Write` node of the graph. The rows of `world.parquet` are
@@ -93,10 +95,6 @@ class Write:
     accepted: bool
     reason: str
     fact: str
-
-
-class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Row of a world table. The fields are the columns."""
 
 
 class EpisodeRow(_Row, frozen=True):
@@ -326,13 +324,12 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     hypotheses: tuple[HypothesisRow, ...] = ()
 
 
-_TYPES: Final = {
+_TYPES: Final[dict[Any, str]] = {
     str: "STRING",
     int: "INT64",
     float: "DOUBLE",
     bool: "BOOLEAN",
-    Origin: "STRING",
-    SlotKind: "STRING",
+    **dict.fromkeys((Origin, SlotKind, Tool), "STRING"),
     Box: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
 }
 
@@ -354,10 +351,7 @@ WORLD_NODES: Final[dict[str, str]] = {
         "Entity": _columns(EntityRow, "episode_hash UUID"),
         "Slot": _columns(SlotRow, "episode_hash UUID"),
         "Hypothesis": _columns(HypothesisRow),
-        "Write": (
-            *("id STRING", "episode STRING", "number INT64", "step INT64"),
-            *("tool STRING", "arguments STRING", "accepted BOOLEAN", "reason STRING"),
-        ),
+        "Write": ("id STRING", "episode STRING", *_columns(Write)[:-1]),
     }.items()
 }
 

@@ -6,19 +6,14 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Final, NamedTuple
 
-from jrdb_avr.schema.labels import ACTIONS, ALSO, POSES, POSES_OF_INTERACTIONS
+from jrdb_avr.schema.labels import ACTIONS, ALSO, FLICKERING, POSES, POSES_OF_INTERACTIONS
+from jrdb_avr.schema.things import POSES_OF_VERBS
 
 CHOICE_COUNT: Final = 4
 """Number of choices of a question."""
 
 CHOICE_LABELS: Final = tuple(
-    label
-    for label in ACTIONS
-    if label
-    not in {
-        *("looking at robot", "looking at sth", "pointing at sth", "interaction with door", "greeting gestures"),
-        *("reading", "pulling"),
-    }
+    label for label in ACTIONS if label not in FLICKERING | {"greeting gestures", "reading", "pulling"}
 )
 """Actions that may be choices. The labels of the excluded actions are often missing, or last only one second."""
 
@@ -50,10 +45,7 @@ _IMPLIED: Final = {
     **dict.fromkeys(("looking at sth together", "looking at", "observing"), ("looking at sth",)),
     "looking into": ("looking into sth",),
     "talking on": ("talking on the phone",),
-    "riding": ("cycling", "skating", "scootering"),
-    "climbing": ("going upstairs",),
-    "going up": ("going upstairs",),
-    "going down": ("going downstairs",),
+    **POSES_OF_VERBS,
     **dict.fromkeys(("holding", "carrying", "transporting", "handling/manipulating"), ("holding sth",)),
     **dict.fromkeys(("using", "utilizing", "drinking"), ("holding sth",)),
 }

@@ -45,31 +45,27 @@ ACTION_PHRASES: Final = _SPELLED_OUT | {
 _CHOICE_PHRASES: Final = ACTION_PHRASES | {"looking into sth": "looking into something (a screen, a phone, a book)"}
 """Phrases of actions as choices. In the text of a question, a phrase has no comma."""
 
-JOINT_PHRASES: Final[dict[str, str]] = {
-    "walking together": "walking together with {someone}",
-    "standing together": "standing together with {someone}",
+INTERACTIONS: Final = (
+    *("walking together", "standing together", "conversation", "sitting together", "going upstairs together"),
+    *("moving together", "looking at robot together", "looking at sth together", "walking toward each other"),
+    *("eating together", "going downstairs together", "bending together", "holding sth together", "cycling together"),
+    *("interaction with door together", "hugging", "looking into sth together", "shaking hand"),
+    *("waving hand together", "pointing at sth together"),
+)
+_ACTION_OF_JOINT: Final = {label: label.removesuffix(" together") for label in INTERACTIONS}
+JOINT_PHRASES: Final = {
+    label: f"{ACTION_PHRASES.get(action, action)} together with {{someone}}"
+    for label, action in _ACTION_OF_JOINT.items()
+} | {
     "conversation": "having a conversation with {someone}",
-    "sitting together": "sitting together with {someone}",
-    "going upstairs together": "going upstairs together with {someone}",
     "moving together": "moving along together with {someone}",
-    "looking at robot together": "looking at the robot together with {someone}",
-    "looking at sth together": "looking at something together with {someone}",
     "walking toward each other": "walking towards {someone} who comes the other way",
-    "eating together": "eating together with {someone}",
-    "going downstairs together": "going downstairs together with {someone}",
-    "bending together": "bending down together with {someone}",
-    "holding sth together": "holding something together with {someone}",
-    "cycling together": "cycling together with {someone}",
-    "interaction with door together": "using a door together with {someone}",
     "hugging": "hugging {someone}",
-    "looking into sth together": "looking into something together with {someone}",
     "shaking hand": "shaking hands with {someone}",
     "waving hand together": "waving hands together with {someone}",
-    "pointing at sth together": "pointing at something together with {someone}",
 }
 """Phrase of each interaction between two people. `{someone}` is the other person."""
 
-INTERACTIONS: Final = tuple(JOINT_PHRASES)
 INTERACTION_PHRASES: Final = {label: phrase.format(someone="someone") for label, phrase in JOINT_PHRASES.items()}
 """Phrase of each interaction with any person."""
 

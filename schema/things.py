@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from typing import Final
 
-from jrdb_avr.schema.labels import plain
+from jrdb_avr.schema.labels import POSES, plain
 
 OBJECTS: Final = (
     *("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence"),
@@ -104,6 +104,14 @@ VERB_PHRASES: Final = {verb: verb for verb in VERBS} | {
     "understanding": "trying to understand",
 }
 """Phrase of each verb in questions. The noun phrase of the thing follows the phrase of the verb."""
+
+POSES_OF_VERBS: Final[dict[str, tuple[str, ...]]] = {verb: (verb,) for verb in VERBS if verb in POSES} | {
+    "riding": ("cycling", "skating", "scootering"),
+    "climbing": ("going upstairs",),
+    "going up": ("going upstairs",),
+    "going down": ("going downstairs",),
+}
+"""Poses that a verb implies, by verb. The verb "riding" may imply any of three poses."""
 
 _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
     "finding sth": "finding_something",

@@ -122,13 +122,14 @@ def group_change(states: Mapping[int, bool], after: int, expected: bool) -> Brac
 
 def performs_at(tracks: Tracks, entity: str, action: str, frame: int) -> bool | None:
     """Return whether readings at exactly this frame show an action of a person, or None if they do not decide."""
-    odds = _only_at(tracks, entity, frame).statement(entity, "action", action, frame).log_odds
+    odds = _action_odds(tracks, entity, action, frame)
     return None if odds == 0 else odds > 0
 
 
-def _only_at(tracks: Tracks, entity: str, frame: int) -> Tracks:
-    """Return only the readings of a person at exactly this frame."""
-    return Tracks({entity: tuple(tracks.readings_at(entity, frame))}, {}, tracks.repeats)
+def _action_odds(tracks: Tracks, entity: str, action: str, frame: int) -> float:
+    """Return the log-odds of an action by only the readings of a person at exactly this frame."""
+    alone = Tracks({entity: tuple(tracks.readings_at(entity, frame))}, {}, tracks.repeats)
+    return alone.statement(entity, "action", action, frame).log_odds
 
 
 def _frames(tracks: Tracks, entity: str, after: int) -> list[int]:
@@ -137,10 +138,8 @@ def _frames(tracks: Tracks, entity: str, after: int) -> list[int]:
 
 def postures(tracks: Tracks, entity: str, after: int) -> dict[int, str]:
     """Return the likeliest posture of a person at each frame with a reading, from frame `after`, ascending."""
-    tallies = {frame: tracks.values(entity, "pose", frame) for frame in _frames(tracks, entity, after)}
-    return likeliest_course(
-        {frame: {tally.value: tally.log_odds for tally in values} for frame, values in tallies.items() if values}
-    )
+    votes = {frame: tracks.values(entity, "pose", frame) for frame in _frames(tracks, entity, after)}
+    return likeliest_course({frame: odds for frame, odds in votes.items() if odds})
 
 
 def likeliest_course(votes: Mapping[int, Mapping[str, float]]) -> dict[int, str]:
@@ -235,8 +234,5 @@ def _spells(tracks: Tracks, entity: str, after: int, action: str | None) -> dict
     """Return at each frame whether the person performs the action ("yes" or "no"); without an action, the posture."""
     if action is None:
         return postures(tracks, entity, after)
-    odds = {
-        frame: _only_at(tracks, entity, frame).statement(entity, "action", action, frame).log_odds
-        for frame in _frames(tracks, entity, after)
-    }
+    odds = {frame: _action_odds(tracks, entity, action, frame) for frame in _frames(tracks, entity, after)}
     return likeliest_course({at: {"yes": max(value, 0.0), "no": max(-value, 0.0)} for at, value in odds.items()})

@@ -2,7 +2,7 @@
 
 The evidence of a part is the log-odds that these people are meant, not that any people are. A condition that holds for
 many people is weak evidence if it holds, and strong evidence if it does not. Tables of evidence come from readings
-(`evidence_tables`) or from statements over the world model; `join` combines them.
+(`rank`) or from statements over the world model; `join` combines them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.geometry import EDGE_DEG, FIRST, around, covered
 from jrdb_avr.agent.perceive.readings import topic_of
-from jrdb_avr.agent.perceive.votes import CAP, UNIT, SlotState, Support, Tracks
+from jrdb_avr.agent.perceive.votes import CAP, UNIT, Support, Tracks
 from jrdb_avr.queries.compiler.find import search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 
@@ -73,17 +73,8 @@ class RankedHypothesis:
     margin: float
 
 
-class SlotSupport(NamedTuple):
-    """A part of the plan and its support under a binding."""
-
-    part: PlanPart
-    support: Support
-
-    @property
-    def state(self) -> SlotState:
-        """Whether the part is open, supported, certain or contradicted."""
-        return self.support.state
-
+SlotSupport = tuple[PlanPart, Support]
+"""A part of the plan and its support under a binding."""
 
 Alone = Mapping[tuple[str, str], float]
 """Evidence of all conditions of a node, by node and entity. All entities have a value for each node."""
@@ -136,11 +127,6 @@ def rank(plan: Plan, tracks: Tracks) -> tuple[RankedHypothesis, ...]:
     Returns:
         The bindings, the best first.
     """
-    return join(plan, *evidence_tables(plan, tracks))
-
-
-def evidence_tables(plan: Plan, tracks: Tracks) -> tuple[Alone, Pairs]:
-    """Return the evidence of each node's conditions and of each edge, for all people who were read."""
     parts, edges = parts_of(plan), edges_of(plan)
     alone = {
         (node.id, entity): sum(
@@ -157,7 +143,7 @@ def evidence_tables(plan: Plan, tracks: Tracks) -> tuple[Alone, Pairs]:
         for target in tracks.people
         if source != target
     }
-    return alone, pairs
+    return join(plan, alone, pairs)
 
 
 def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]:
@@ -228,12 +214,10 @@ def best_of_each(hypotheses: Sequence[RankedHypothesis], node: str) -> dict[str,
     return best
 
 
-def slot_supports(plan: Plan, tracks: Tracks, hypothesis: RankedHypothesis) -> tuple[SlotSupport, ...]:
+def slot_supports(plan: Plan, tracks: Tracks, hypothesis: RankedHypothesis) -> list[SlotSupport]:
     """Return the support of each part of a plan under a binding. A part of a node without an entity is open."""
     supports = []
     for part in parts_of(plan):
         people = [hypothesis.nodes[node] for node in part.nodes if node in hypothesis.nodes]
-        supports.append(
-            SlotSupport(part, part.support(tracks, people) if len(people) == len(part.nodes) else Support())
-        )
-    return tuple(supports)
+        supports.append((part, part.support(tracks, people) if len(people) == len(part.nodes) else Support()))
+    return supports

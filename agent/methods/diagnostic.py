@@ -6,6 +6,7 @@ of the question. These methods receive the crops alone.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,10 +20,16 @@ from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
 from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.method import Observation, Prediction, Task
-from jrdb_avr.schema.panorama import CROP, Box, from_crop
+from jrdb_avr.schema.panorama import CROP, Box, clockwise, from_crop
 
 _SEED: Final = 0
 """Seed of the drawn looks. The looks of a question follow from it and from the id of the question."""
+
+_STEP_DEG: Final = 40
+"""Maximum degrees between two looks that show everything between them. A person between them is whole in one."""
+
+TURNS: Final = tuple(range(_STEP_DEG, 360, _STEP_DEG))
+"""Turns in degrees from a first look to the looks that show the rest of the circle."""
 
 _MARKED: Final = "In one picture, a red box is drawn round the person whom the question asks about.\n"
 
@@ -97,3 +104,19 @@ def random_pictures(budget: int) -> Pictures:
         return [task.observe(task.question.sequence, frame, angle) for frame, angle in views]
 
     return draw
+
+
+def angles_between(first: float, last: float) -> list[float]:
+    """Return the angles of looks between two people, each in the middle of another look.
+
+    Args:
+        first: Panorama angle of a person in degrees.
+        last: Panorama angle of the other person in degrees.
+
+    Returns:
+        The fewest angles in degrees whose looks show everything between the people. One look shows both people if they
+        are near enough, and none is needed if the looks at them show both.
+    """
+    turn = (clockwise(first, last) + 180) % 360 - 180
+    count = max(math.ceil(abs(turn) / _STEP_DEG) - 1, int(abs(turn) > _STEP_DEG / 2))
+    return [(first + turn * step / (count + 1)) % 360 for step in range(1, count + 1)]

@@ -11,7 +11,7 @@ import math
 import statistics
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Literal, NamedTuple
 
@@ -59,13 +59,6 @@ class Support(NamedTuple):
         if self.log_odds < 0:
             return "contradicted"
         return "certain" if self.log_odds >= CERTAIN else "supported"
-
-
-class Tally(NamedTuple):
-    """A value of an attribute and its log-odds."""
-
-    value: str
-    log_odds: float
 
 
 TieKey = tuple[str, str, str]
@@ -117,6 +110,10 @@ class Tracks:
     people: Mapping[str, tuple[PersonReading, ...]]
     looks: Mapping[int, tuple[SeenColumns, ...]]
     repeats: Repeats = USUAL_REPEATS
+    # Tables that are filled on use.
+    _standing: dict[tuple[str, str, int], dict[str, Truth]] = field(default_factory=dict, init=False, compare=False)
+    _groups: dict[tuple[str, int], list[str]] = field(default_factory=dict, init=False, compare=False)
+    _boxes: dict[int, dict[str, Box]] = field(default_factory=dict, init=False, compare=False)
 
     def with_people(
         self, columns: SeenColumns | None, frame: int, people: Sequence[tuple[str, PersonReading]]
@@ -185,25 +182,20 @@ class Tracks:
         vote = UNIT if count == size else -UNIT if count > size or size == 1 else -UNIT / 2
         return self._support([(at, vote)], frame)
 
-    def _group(self, entity: str, frame: int) -> set[str]:
+    def _group(self, entity: str, frame: int) -> list[str]:
         """Return the person and all people that relations of one group join to the person at a frame."""
         if (entity, frame) not in self._groups:
             present = [partner for partner in self.people if self.readings_at(partner, frame)]
-            group, fresh = {entity}, [entity]
-            while fresh:
-                member = fresh.pop()
-                joined = [
-                    partner
-                    for partner in present
-                    if partner not in group and self._tie(member, SAME_GROUP, partner, frame).log_odds > 0
-                ]
-                group.update(joined)
-                fresh += joined
+            group = [entity]
+            # The list grows while it is read.
+            for member in group:
+                strangers = [partner for partner in present if partner not in group]
+                group += [name for name in strangers if self._tie(member, SAME_GROUP, name, frame).log_odds > 0]
             self._groups[entity, frame] = group
         return self._groups[entity, frame]
 
-    def values(self, entity: str, topic: str, frame: int | None) -> tuple[Tally, ...]:
-        """Return the values that were read on a topic, with the highest log-odds first.
+    def values(self, entity: str, topic: str, frame: int | None) -> dict[str, float]:
+        """Return the log-odds of the values that were read on a topic, the highest first.
 
         Args:
             entity: The person.
@@ -211,7 +203,7 @@ class Tracks:
             frame: Only the nearest frame with a reading of the topic counts. None for all frames.
 
         Returns:
-            The values.
+            The log-odds by value.
         """
         readings = [
             reading for reading in self.people.get(entity, ()) if any(label.topic == topic for label in reading.labels)
@@ -227,8 +219,8 @@ class Tracks:
             for label in reading.labels:
                 if label.topic == topic:
                     votes[label.value].append((reading.frame, signed(label.holds) * factor))
-        tallies = (Tally(value, fuse(given, None, self.repeats)) for value, given in votes.items())
-        return tuple(sorted(tallies, key=lambda tally: (-tally.log_odds, tally.value)))
+        odds = {value: fuse(given, None, self.repeats) for value, given in votes.items()}
+        return dict(sorted(odds.items(), key=lambda pair: (-pair[1], pair[0])))
 
     def metres(self, entity: str, frame: int) -> float | None:
         """Return the median of the distances in metres that were read at a frame, None without any."""
@@ -318,24 +310,12 @@ class Tracks:
     # -- tables that are computed once ------------------------------------------------------------------------------
 
     @cached_property
-    def _standing(self) -> dict[tuple[str, str, int], dict[str, Truth]]:
-        return {}
-
-    @cached_property
     def _by_frame(self) -> dict[tuple[str, int], list[PersonReading]]:
         table: dict[tuple[str, int], list[PersonReading]] = defaultdict(list)
         for entity, readings in self.people.items():
             for reading in readings:
                 table[entity, reading.frame].append(reading)
         return dict(table)
-
-    @cached_property
-    def _groups(self) -> dict[tuple[str, int], set[str]]:
-        return {}
-
-    @cached_property
-    def _boxes(self) -> dict[int, dict[str, Box]]:
-        return {}
 
     @cached_property
     def _tie_votes(self) -> dict[TieKey, list[Vote]]:

@@ -10,11 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
-from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
+from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_answer
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
@@ -32,7 +32,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
 )
 from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, look_schema, printable, view_parts
-from jrdb_avr.schema.answer_modes import MODES, mode_of, same_answer
+from jrdb_avr.schema.answer_modes import mode_of, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
@@ -75,6 +75,7 @@ class WorldMemory:
     final_refused: whether a final answer was refused because the graph does not support it.
     """
 
+    tools: ClassVar = GRAPH_TOOLS
     attempt: Attempt
     world: WorldEpisode
     fields: Sequence[Field]
@@ -93,11 +94,6 @@ class WorldMemory:
         """The plan as pictures are read for it. The frames of group events follow from what was read."""
         assert self.world.plan is not None, "a plan is set before the first turn"
         return self.world.plan
-
-    @property
-    def tools(self) -> Collection[str]:
-        """The tools of the graph, and the final answer."""
-        return GRAPH_TOOLS
 
     # -- what the model gets ------------------------------------------------------------------------------------------
 
@@ -168,14 +164,15 @@ class WorldMemory:
         people = {}
         for person in sorted(last, key=lambda person: (person not in first, -int(last[person].observation[1:])))[:most]:
             newest = last[person]
-            values = [tallies[0].value for topic in _TOPICS if (tallies := tracks.values(person, topic, None))]
+            values = [next(iter(odds)) for topic in _TOPICS if (odds := tracks.values(person, topic, None))]
             people[person] = ", ".join([*values, f"{newest.frame:06d} at {newest.angle:.0f}"])
         return people
 
     def _open(self, best: RankedHypothesis) -> list[str]:
         """Describe the parts of the plan that the best binding leaves open or contradicts."""
-        slots = [slot for slot in self.world.slots(best) if slot.state in ("open", "contradicted")]
-        return [f"{_part_text(slot.part)}: {slot.state}" for slot in slots[:_MOST_OPEN]]
+        slots = [(part, support.state) for part, support in self.world.slots(best)]
+        lines = [f"{_part_text(part)}: {state}" for part, state in slots if state in ("open", "contradicted")]
+        return lines[:_MOST_OPEN]
 
     def _supported(self) -> dict[str, Any] | None:
         """Return the answer that the graph supports, in the form of a final answer."""
@@ -278,8 +275,6 @@ class WorldMemory:
         Returns:
             At most three looks, the best first.
         """
-        if left <= 0:
-            return ()
         frames = self.attempt.task.sequence.frames
         choices = self.attempt.task.question.choices
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
@@ -387,7 +382,7 @@ class WorldMemory:
         bindings = self._likely()[:_MOST_RECORDED]
         slots = [self.world.slots(binding) for binding in bindings]
         parts = [
-            {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
+            {"part": _part_text(row[0][0]), "support": [(support.log_odds, support.state) for _, support in row]}
             for row in zip(*slots, strict=True)
         ]
         decision = {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
@@ -396,12 +391,8 @@ class WorldMemory:
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
-        task = self.attempt.task
-        if task.question.choices:
-            return guess_choice(task.question.choices)
-        frames = task.sequence.frames or (0,)
-        middle = frames[len(frames) // 2]
-        return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+        question, frames = self.attempt.task.question, self.attempt.task.sequence.frames or (0,)
+        return guess_answer(question.answer_mode, question.choices, frames[len(frames) // 2], 180.0)
 
 
 def _stored(arguments: object) -> msgspec.Raw:

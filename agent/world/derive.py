@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.look.ranking import PlanPart, absence_evidence, edges_of, frames_of, parts_of
+from jrdb_avr.agent.look.ranking import PlanPart, absence_evidence, frames_of, parts_of
 from jrdb_avr.agent.perceive.geometry import DERIVED
 from jrdb_avr.agent.perceive.readings import PersonReading, has_one_value, topic_of
 from jrdb_avr.agent.perceive.votes import TieKey, Tracks, signed, tie_key
@@ -19,8 +19,8 @@ ENTITY_TOPIC: Final = "entity"
 """Topic of the edge that each entity has."""
 
 _ANY_FRAME: Final = -1
-_FROM_BOXES: Final = frozenset({"sector", "distance", "group_size"})
-"""Attributes that are derived from boxes, distances and relations."""
+_FROM_BOXES: Final = DERIVED | {"sector", "distance", "group_size", SAME_GROUP}
+"""Attributes and relations that are derived from boxes, distances and relations."""
 
 
 class Slot(NamedTuple):
@@ -59,51 +59,28 @@ def slots_of(plan: Plan, episode: str, step: int = 0, first: int = 0) -> tuple[S
         slots.append(Slot(row, part))
 
     add("entity", None, ENTITY_TOPIC, "derived", _ANY_FRAME)
-    conditions = parts_of(plan)[: -len(edges_of(plan)) or None]
-    for part in conditions:
+    for part in parts_of(plan):
+        kind: SlotKind = "condition" if len(part.nodes) == 1 else "edge"
         frame = _ANY_FRAME if part.frame is None or part.name in TIMELESS else part.frame
         if part.name in _FROM_BOXES:
-            add("condition", part, f"{part.name} {part.value} {frame}", "derived", frame)
+            topic = " ".join(filter(None, (part.name, part.value, str(frame))))
+            add(kind, part, topic, "derived", frame)
         else:
-            add("condition", part, topic_of(part.name, part.value), "model", frame)
-    for part in edges_of(plan):
-        if part.name in DERIVED or part.name == SAME_GROUP:
-            add("edge", part, f"{part.name} {part.frame}", "derived", part.frame or 0)
-        else:
-            add("edge", part, part.name, "model", part.frame or 0)
+            add(kind, part, topic_of(part.name, part.value), "model", frame)
     for node in plan.nodes:
         for frame in frames_of(plan, node.id):
             add("presence", None, f"seen {frame}", "derived", frame, node.id)
     return tuple(slots)
 
 
-class HasValue(NamedTuple):
-    """An attribute to write. The fields are columns of `AttributeRow`."""
+Value = tuple[str, int, str, str, str, float, float, bool, Origin]
+"""An attribute to write: the entity, and the columns of `AttributeRow` from `frame` on."""
 
-    entity: str
-    frame: int
-    topic: str
-    name: str
-    value: str
-    log_odds: float
-    weight: float
-    exclusive: bool
-    origin: Origin
+Relation = tuple[str, str, int, str, float, float, Origin]
+"""A relation to write: both entities, and the columns of `RelationRow` from `frame` on, without `look`."""
 
 
-class Relation(NamedTuple):
-    """A relation to write. The fields are columns of `RelationRow`."""
-
-    source: str
-    target: str
-    frame: int
-    name: str
-    log_odds: float
-    weight: float
-    origin: Origin
-
-
-def read_values(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> Iterator[HasValue]:
+def read_values(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> Iterator[Value]:
     """Yield the attributes of new readings.
 
     Args:
@@ -119,13 +96,14 @@ def read_values(before: Tracks, people: Sequence[tuple[str, PersonReading]]) -> 
         for label in reading.labels:
             log_odds = signed(label.holds)
             weight = log_odds * (before.repeats.frame if label.topic in topics else 1.0)
-            exclusive = has_one_value(label.topic)
-            said = label.topic, label.name, label.value, log_odds, weight, exclusive
-            yield HasValue(entity, reading.frame, *said, "model")
+            columns = label.topic, label.name, label.value, log_odds, weight, has_one_value(label.topic)
+            yield entity, reading.frame, *columns, "model"
 
 
-def read_relations(before: Tracks, after: Tracks, people: Sequence[tuple[str, PersonReading]]) -> list[Relation]:
-    """Return the relations of new readings.
+def read_relations(
+    before: Tracks, after: Tracks, people: Sequence[tuple[str, PersonReading]]
+) -> tuple[list[Relation], list[Value]]:
+    """Return the relations of new readings, and the interactions that affirmed relations imply for both.
 
     Args:
         before: Tracks before the readings.
@@ -133,78 +111,37 @@ def read_relations(before: Tracks, after: Tracks, people: Sequence[tuple[str, Pe
         people: Entity and reading of each person of a picture.
 
     Returns:
-        The relations. The weights of a pair sum to the change of the sum of the pair's votes at the frame.
+        The relations, and the changes of the interactions' sums. The weights of a pair sum to the change of the sum of
+        the pair's votes at the frame.
     """
     names = {reading.number: entity for entity, reading in people}
-    groups: dict[tuple[TieKey, int], list[Relation]] = defaultdict(list)
+    groups: dict[tuple[TieKey, int], list[tuple[str, str, float]]] = defaultdict(list)
     for entity, reading in people:
         for tie in reading.ties:
             if (target := names.get(tie.other)) is not None:
-                log_odds = signed(tie.holds)
-                weights = log_odds, log_odds * before.repeats.frame
-                relation = Relation(entity, target, reading.frame, tie.relation, *weights, "model")
-                groups[tie_key(entity, tie.relation, target), reading.frame].append(relation)
-    relations = []
-    for (key, frame), (first, *others) in groups.items():
-        change = sum(after.tie_votes(key, frame)) - sum(before.tie_votes(key, frame))
-        relations += [first._replace(weight=change - sum(other.weight for other in others)), *others]
-    return relations
-
-
-def shared_interactions(before: Tracks, after: Tracks, relations: Sequence[Relation]) -> Iterator[HasValue]:
-    """Yield the interactions that affirmed relations imply for both.
-
-    Args:
-        before: Tracks before the relations.
-        after: Tracks with the relations.
-        relations: New relations.
-
-    Yields:
-        The changes of the interactions' sums.
-    """
-    keys = {(tie_key(item.source, item.name, item.target), item.frame): None for item in relations}
-    for key, frame in keys:
-        sums = [sum(vote for vote in tracks.tie_votes(key, frame) if vote > 0) for tracks in (after, before)]
-        change = sums[0] - sums[1]
-        if key[1] in INTERACTIONS and change:
-            for entity in (key[0], key[2]):
-                topic = topic_of("interaction", key[1])
-                yield HasValue(entity, frame, topic, "interaction", key[1], change, change, False, "relation")
+                key = tie_key(entity, tie.relation, target), reading.frame
+                groups[key].append((entity, target, signed(tie.holds)))
+    relations: list[Relation] = []
+    values: list[Value] = []
+    for ((first, name, last), frame), ties in groups.items():
+        later, earlier = (tracks.tie_votes((first, name, last), frame) for tracks in (after, before))
+        weights = [log_odds * before.repeats.frame for _, _, log_odds in ties[1:]]
+        weights.insert(0, sum(later) - sum(earlier) - sum(weights))
+        for (source, target, log_odds), weight in zip(ties, weights, strict=True):
+            relations.append((source, target, frame, name, log_odds, weight, "model"))
+        change = sum(vote for vote in later if vote > 0) - sum(vote for vote in earlier if vote > 0)
+        if name in INTERACTIONS and change:
+            columns = topic_of("interaction", name), "interaction", name, change, change
+            values += [(entity, frame, *columns, False, "relation") for entity in (first, last)]
+    return relations, values
 
 
 Key = tuple[str, str, str]
 """Topic of a derived slot, entity, and the other entity of a pair or ""."""
 
 
-def derived_sums(slots: Sequence[Slot], tracks: Tracks) -> dict[Key, float]:
-    """Return the current evidence of each slot with the origin "derived".
-
-    Args:
-        slots: Slots of the plan.
-        tracks: All readings so far.
-
-    Returns:
-        The log-odds by topic and entities.
-    """
-    sums: dict[Key, float] = {}
-    # Slots of one topic ask for the same evidence.
-    for slot in {slot.row.topic: slot for slot in slots if slot.row.origin == "derived"}.values():
-        for entity in tracks.people:
-            if slot.row.kind == "presence":
-                sums[slot.row.topic, entity, ""] = absence_evidence(tracks, entity, slot.row.frame)
-            elif slot.part is None:
-                sums[slot.row.topic, entity, ""] = 0.0
-            elif slot.row.kind == "condition":
-                sums[slot.row.topic, entity, ""] = slot.part.support(tracks, (entity,)).log_odds
-            else:
-                for other in tracks.people:
-                    if other != entity:
-                        sums[slot.row.topic, entity, other] = slot.part.support(tracks, (entity, other)).log_odds
-    return sums
-
-
 def increments(slots: Sequence[Slot], tracks: Tracks, written: Mapping[Key, float]) -> dict[Key, float]:
-    """Return the changes of derived evidence against the sums that are written.
+    """Return the changes of the evidence of slots with the origin "derived" against the sums that are written.
 
     Args:
         slots: Slots of the plan.
@@ -212,10 +149,20 @@ def increments(slots: Sequence[Slot], tracks: Tracks, written: Mapping[Key, floa
         written: Sums of the increments so far.
 
     Returns:
-        The changes. A new entity has a change of 0 for the slot that all entities fill.
+        The changes of the log-odds by topic and entities. A new entity has a change of 0 for the slot that all entities
+        fill.
     """
-    return {
-        key: total - written.get(key, 0.0)
-        for key, total in derived_sums(slots, tracks).items()
-        if total != written.get(key, 0.0) or (key[0] == ENTITY_TOPIC and key not in written)
-    }
+    sums: dict[Key, float] = {}
+    # Slots of one topic ask for the same evidence.
+    for row, part in {slot.row.topic: slot for slot in slots if slot.row.origin == "derived"}.values():
+        for entity in tracks.people:
+            if part is None:
+                absent = row.kind == "presence"
+                sums[row.topic, entity, ""] = absence_evidence(tracks, entity, row.frame) if absent else 0.0
+            else:
+                for other in tracks.people if row.kind == "edge" else ("",):
+                    if other != entity:
+                        people = (entity, other)[: len(part.nodes)]
+                        sums[row.topic, entity, other] = part.support(tracks, people).log_odds
+    changed = {key: sums[key] for key in sums if sums[key] != written.get(key, None if key[0] == ENTITY_TOPIC else 0.0)}
+    return {key: total - written.get(key, 0.0) for key, total in changed.items()}

@@ -17,20 +17,17 @@ import msgspec
 
 from jrdb_avr.agent.look.answer import Conclusion, conclude, near_targets, needs_everyone
 from jrdb_avr.agent.look.moments import group_changes
-from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, parts_of
+from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each
 from jrdb_avr.agent.perceive.fields import perceivable
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.world.derive import (
-    HasValue,
     Key,
-    Relation,
     Slot,
     increments,
     read_relations,
     read_values,
-    shared_interactions,
     slots_of,
 )
 from jrdb_avr.agent.world.evidence import Evidence, assemble_tracks
@@ -287,18 +284,17 @@ class WorldEpisode:
         self, fact: Fact, look: LookRow, before: Tracks, people: Sequence[tuple[str, PersonReading]], step: int
     ) -> Fact:
         """Return a fact with the edges of new readings, and with the increments that follow from them."""
-        values, relations = [*read_values(before, people)], read_relations(before, self.tracks, people)
-        values += shared_interactions(before, self.tracks, relations)
+        relations, implied = read_relations(before, self.tracks, people)
+        values = [*read_values(before, people), *implied]
         slots = {slot.row.topic: slot.row for slot in self._slots}
         for key, change in increments(self._slots, self.tracks, self._written).items():
             topic, entity, other = key
             slot = slots[topic]
             self._written[key] = self._written.get(key, 0.0) + change
             if other:
-                relations.append(Relation(entity, other, slot.frame, slot.name, change, change, "derived"))
+                relations.append((entity, other, slot.frame, slot.name, change, change, "derived"))
             else:
-                columns = topic, slot.name, slot.value, change, change
-                values.append(HasValue(entity, slot.frame, *columns, False, "derived"))
+                values.append((entity, slot.frame, topic, slot.name, slot.value, change, change, False, "derived"))
         shared: tuple[Any, ...] = (self.key, self._rows.written, step)
         has = tuple(AttributeRow(*self._ends(entity, look), *shared, *columns) for entity, *columns in values)
         related = tuple(
@@ -360,14 +356,11 @@ class WorldEpisode:
         """
         return self._read_evidence().bindings
 
-    def slots(self, hypothesis: RankedHypothesis) -> tuple[SlotSupport, ...]:
+    def slots(self, hypothesis: RankedHypothesis) -> list[SlotSupport]:
         """Return the support of each part of the plan under a binding, by the same rows as the bindings."""
-        assert self.plan is not None
-        evidence, supports = self._read_evidence(), []
-        for part, slot in zip(parts_of(self.plan), evidence.parts, strict=True):
-            people = [hypothesis.nodes.get(node, "") for node in part.nodes]
-            supports.append(SlotSupport(part, evidence.support(slot, *people)))
-        return tuple(supports)
+        evidence, nodes = self._read_evidence(), hypothesis.nodes
+        parts = [(slot.part, slot) for slot in self._slots if slot.part is not None]
+        return [(part, evidence.support(slot, *(nodes.get(node, "") for node in part.nodes))) for part, slot in parts]
 
     def conclude(self, choices: Sequence[str], frames: Sequence[int]) -> Conclusion | None:
         """Return the answer that the graph supports.

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, run_argument, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, Store, run_argument, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.schema.card import CREATOR, HOME
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command()
@@ -73,16 +69,15 @@ def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, 
         with warnings_as_notes():
             count = export_chat(store, run, chat)
         note(f"wrote {chat}: {count} conversations")
-    if jsonl is None or run is None:
-        return
-    from jrdb_avr.engine.report.prediction_lines import write_lines
-    from jrdb_avr.engine.report.run_scores import predictions_path
-    from jrdb_avr.queries.files import write_bytes
-    from jrdb_avr.queries.store import read_table
+    if jsonl is not None and run is not None:
+        from jrdb_avr.engine.report.prediction_lines import write_lines
+        from jrdb_avr.engine.report.run_scores import predictions_path
+        from jrdb_avr.queries.files import write_bytes
+        from jrdb_avr.queries.store import read_table
 
-    predictions = read_table(predictions_path(store, run))
-    write_bytes(jsonl, b"".join(write_lines(predictions)))
-    note(f"wrote {jsonl}: {len(predictions)} predictions")
+        predictions = read_table(predictions_path(store, run))
+        write_bytes(jsonl, b"".join(write_lines(predictions)))
+        note(f"wrote {jsonl}: {len(predictions)} predictions")
 
 
 @click.command()

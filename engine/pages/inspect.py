@@ -97,8 +97,7 @@ class Inspected:
         boxes: Boxes of people in each frame that the page shows, by frame. Each frame has a list of pairs. A pair is
             the role and the box of a person.
         around: Boxes one second before and after each frame that the page shows, by frame. For each frame, there are
-            two tuples of three members. The first member is -1 (before) or 1 (after). The second member is the frame
-            at that time. The third member is a list of boxes, like the lists in `boxes`.
+            two pairs of the frame at that time and a list of boxes, like the lists in `boxes`.
         timeline: Rows of the timeline.
         visibility: Evidence for clear views in the sequence: "attributes", "geometry" or "nothing".
     """
@@ -118,32 +117,23 @@ class Inspected:
         sightings = {role: sequence.rows("sightings", "track", track) for role, track in tracks.items()}
 
         def boxes(roles: Iterable[str], frame: int) -> list[tuple[str, Box]]:
-            return [(role, _box(row)) for role in roles for row in sightings[role] if row["frame"] == frame]
+            rows = ((role, row) for role in roles for row in sightings[role] if row["frame"] == frame)
+            return [(role, Box(*(row[side] for side in "xywh"))) for role, row in rows]
 
         displayed = sorted({*at.values(), self.decisive.frame, *(box.frame for box in counted)})
         self.boxes = {frame: boxes(self.people, frame) for frame in displayed}
         for box in counted:
             self.boxes[box.frame].append((box.node, Box(box.x, box.y, box.w, box.h)))
+        second = round(self.fps)
         self.around = {
-            frame: [
-                (
-                    sign,
-                    frame + sign * round(self.fps),
-                    boxes(dict(boxes_of_frame) | self.people, frame + sign * round(self.fps)),
-                )
-                for sign in (-1, 1)
-            ]
-            for frame, boxes_of_frame in self.boxes.items()
+            frame: [(at, boxes(dict(displayed_boxes) | self.people, at)) for at in (frame - second, frame + second)]
+            for frame, displayed_boxes in self.boxes.items()
         }
         self.timeline = [
             row
             for role in self.people
             for row in timeline_rows(role, self.plan, self.people, self.moments, sightings[role], sequence)
         ]
-
-
-def _box(row: Record) -> Box:
-    return Box(row["x"], row["y"], row["w"], row["h"])
 
 
 def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
@@ -162,16 +152,6 @@ def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
-
-
-class FramedBox(NamedTuple):
-    """The box of a person in the pixels of a picture."""
-
-    role: str
-    x: float
-    y: float
-    w: float
-    h: float
 
 
 class View(NamedTuple):
@@ -193,7 +173,7 @@ class View(NamedTuple):
     uri: str = ""
     width: int = 0
     height: int = 0
-    boxes: Sequence[FramedBox] = ()
+    boxes: Sequence[tuple[str, Box]] = ()
     missing: str = ""
     plate: float = 28.0
     near: tuple[View, ...] = ()
@@ -255,7 +235,7 @@ def _strip(question: Inspected, frame: int, observer: Observer) -> View:
         return View(title, missing=str(error))
     near = tuple(close_up(role, box, image, frame) for role, box in question.boxes[frame] if role in question.people)
     around = []
-    for sign, neighbour, boxes in question.around[frame]:
+    for sign, (neighbour, boxes) in zip((-1, 1), question.around[frame], strict=True):
         # The panoramas before and after are optional, so a missing or broken panorama is left out.
         with contextlib.suppress(ObserveError):
             panorama = observer.panorama(question.record.sequence, neighbour)
@@ -265,7 +245,7 @@ def _strip(question: Inspected, frame: int, observer: Observer) -> View:
 
 def _panorama(title: str, image: Image, size: tuple[int, int], boxes: Iterable[tuple[str, Box]]) -> View:
     """Return a whole panorama with boxes. The boxes are given in stitched pixels."""
-    framed = [FramedBox(role, *part) for role, box in boxes for part in on_strip(box, WIDTH)]
+    framed = [(role, part) for role, box in boxes for part in on_strip(box, WIDTH)]
     return View(title, picture_uri(image, size), WIDTH, HEIGHT, framed)
 
 
@@ -292,8 +272,8 @@ def close_up(role: str, box: Box, image: Image, frame: int) -> View:
     top = int(min(max(box.y + box.h / 2 - side / 2, 0), HEIGHT - side))
     cut = np.take(image, np.arange(left, left + side), axis=1, mode="wrap")[top : top + side]
     scale, size = CLOSE_UP / side, (CLOSE_UP, CLOSE_UP)
-    framed = FramedBox(role, (box.x - left) * scale, (box.y - top) * scale, box.w * scale, box.h * scale)
-    return View(f"{role.upper()} in frame {frame}", picture_uri(cut, size), *size, (framed,), plate=24.0)
+    framed = Box((box.x - left) * scale, (box.y - top) * scale, box.w * scale, box.h * scale)
+    return View(f"{role.upper()} in frame {frame}", picture_uri(cut, size), *size, ((role, framed),), plate=24.0)
 
 
 def _crop(question: Inspected, observer: Observer) -> View:
@@ -304,5 +284,5 @@ def _crop(question: Inspected, observer: Observer) -> View:
         observation = observer(question.record.sequence, frame, angle)
     except ObserveError as error:
         return View(title, missing=str(error))
-    box = FramedBox(needed.node, *to_crop(Box(needed.x, needed.y, needed.w, needed.h), observation.left))
-    return View(title, picture_uri(observation.image, (CROP, CROP)), CROP, CROP, (box,))
+    box = to_crop(Box(needed.x, needed.y, needed.w, needed.h), observation.left)
+    return View(title, picture_uri(observation.image, (CROP, CROP)), CROP, CROP, ((needed.node, box),))

@@ -23,7 +23,6 @@ def leaderboard_page(board: Leaderboard) -> str:
         "leaderboard.html",
         sets=[[(bundle, without_rough([row])[0]) for bundle, row in entries] for entries in board.sets],
         board=board,
-        count=len(board.rows),
         settings=settings_text,
         too_few=TOO_FEW,
         least=LEAST_CLUSTERS,

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 import pyarrow as pa
 
 from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.queries.runs import questions_hash
-from jrdb_avr.queries.sql import query_tables
-from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
@@ -103,17 +101,3 @@ def read_reviews(store: Store) -> list[dict[str, str]]:
 def rejected(store: Store) -> frozenset[str]:
     """Return the ids of the questions that at least one reviewer rejected."""
     return frozenset(row["question_id"] for row in read_reviews(store) if row["decision"] == "reject")
-
-
-def agreements(store: Store) -> list[dict[str, Any]]:
-    """Compute the agreement of each pair of reviewers who decided the same questions.
-
-    Args:
-        store: Store with reviews.
-
-    Returns:
-        A row per pair: both names, the number of questions, the number of equal decisions, and Cohen's kappa. Kappa is
-        None if both reviewers always make the same decision.
-    """
-    rows: list[dict[str, Any]] = query_tables(store.path, read_statement("stats/agreements.sql")).to_pylist()
-    return rows

@@ -255,15 +255,7 @@ def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
     return dots
 
 
-class CurveDot(NamedTuple):
-    """A dot of a curve: its position, and the run's row of the table `looks`."""
-
-    x: float
-    y: float
-    row: Mapping[str, Any]
-
-
-def budget_curves(rows: Sequence[Mapping[str, Any]]) -> list[list[CurveDot]]:
+def budget_curves(rows: Sequence[Mapping[str, Any]]) -> list[list[dict[str, Any]]]:
     """Lay out curves of the combined score (vertical axis) against the budget of looks (horizontal axis).
 
     Args:
@@ -274,12 +266,12 @@ def budget_curves(rows: Sequence[Mapping[str, Any]]) -> list[list[CurveDot]]:
     """
     side = SQUARE - 2 * _MARGIN
     most = max((row["looks"] for row in rows), default=1)
-    curves: list[list[CurveDot]] = []
+    curves: list[list[dict[str, Any]]] = []
     for row in rows:
-        if not curves or row["looks"] <= curves[-1][-1].row["looks"]:
+        if not curves or row["looks"] <= curves[-1][-1]["row"]["looks"]:
             curves.append([])
         x, y = _MARGIN + side * row["looks"] / most, SQUARE - _MARGIN - side * row["combined"] / 100
-        curves[-1].append(CurveDot(x, y, row))
+        curves[-1].append({"x": x, "y": y, "row": row})
     return curves
 
 

@@ -10,14 +10,13 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.inspect import FramedBox, View
+from jrdb_avr.engine.pages.inspect import View
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.engine.pages.turns import ROLES, decision_of, entity_roles, look_words, plain_text, plan_of, turns_of
 from jrdb_avr.engine.report.traces import Look, Trace, Transcript
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answer_modes import frames_of_answer
-from jrdb_avr.schema.answers import Answer, Choice
 from jrdb_avr.schema.beliefs import name_of
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
@@ -54,7 +53,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
     answers = trace.answer["answer"], trace.prediction["answer"], trace.prediction["proposed"]
     true, predicted, proposed = (readable(mode, text, choices, trace.fps, unit) for text in answers)
-    true_choice, own_choice, _ = (_choice(read_answer(mode, text)) for text in answers)
+    true_choice, own_choice, _ = (getattr(read_answer(mode, text), "choice", None) for text in answers)
     return render(
         "trace.html",
         trace=trace,
@@ -96,13 +95,6 @@ def evidence_box(trace: Transcript) -> tuple[int, Box] | None:
     if frame is None or any(side is None or not math.isfinite(side) for side in sides):
         return None
     return frame, Box(*sides)
-
-
-def _choice(answer: Answer | None) -> int | None:
-    return answer.choice if isinstance(answer, Choice) else None
-
-
-# -- the map: panorama columns across and frames downwards -------------------------------------------------------------
 
 
 def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
@@ -194,7 +186,7 @@ def _view(
     try:
         if look.angle is not None:
             crop = observer(str(trace.question["sequence"]), look.frame, look.angle)
-            framed = [FramedBox(name, *to_crop(box, crop.left)) for name, box in boxes]
+            framed = [(name, to_crop(box, crop.left)) for name, box in boxes]
             view["crop"] = View(view["words"], picture_uri(crop.image, _SMALL), CROP, CROP, framed, plate=34.0)
         return view | {"strip": strip(look.frame)}
     except ObserveError as error:

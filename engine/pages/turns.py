@@ -174,12 +174,8 @@ def turns_of(transcript: Transcript) -> list[Turn]:
         calls = [_call(step) for step in group if step["kind"] == "tool"]
         graph, advised = _stated(group[0])
         people = _people(writes)
-        due = [
-            look
-            for step in group
-            if step["kind"] == "solve"
-            for look in _decoded(step["response"], list[AdvisedLook]) or []
-        ]
+        solved = [step["response"] for step in group if step["kind"] == "solve"]
+        due = [look for text in solved for look in _decoded(text, list[AdvisedLook]) or []]
         number += group[0]["kind"] == "model"
         head = f"Turn {number}" if number else "Before the first turn"
         ended = after is None and transcript.prediction["status"] == "answered"

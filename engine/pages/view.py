@@ -168,12 +168,12 @@ class Viewer:
                 missing = str(error)
         index = self.questions.index(question)
         near = [self.questions[at] if 0 <= at < len(self.questions) else None for at in (index - 1, index + 1)]
-        info = self.sequences[question.sequence]
         truth = None
         if self.comparison is not None:
             (truth,) = read_rows(self.store.question_path("answers"), "question_id", question.question_id).to_pylist()
-        shown = (question, info, having, chosen, transcript, self._twins.get(question.question_id))
-        page = question_page(*shown, truth, missing, near, self.pictured, address)
+        shown = {"runs": having, "missing": missing, "near": near, "pictured": self.pictured, "at": address}
+        info, twin = self.sequences[question.sequence], self._twins.get(question.question_id)
+        page = question_page(question, info, chosen, transcript, twin, truth, **shown)
         return Response(page.encode("utf-8", "replace"))
 
     def _compare(self, request: Request) -> Response:
@@ -184,19 +184,14 @@ class Viewer:
         score = request.value("score") if request.value("score") in SCORES else "combined"
         both = set(first.manifest.question_ids) & set(second.manifest.question_ids)
         shared = [question for question in self.questions if question.question_id in both]
-        groups: dict[str, list[QuestionRow]] = {}
-        if self.comparison is None:
-            groups = {"different answers": [], "the same answer": []}
-            for question in shared:
-                alike = self.answer_of(first, question) == self.answer_of(second, question)
-                groups["the same answer" if alike else "different answers"].append(question)
-        else:
+        titles: dict[Any, str] = {False: "different answers", True: "the same answer"}
+        keys: list[Any] = [self.answer_of(first, question) == self.answer_of(second, question) for question in shared]
+        if self.comparison is not None:
             titles = {(1, 0): "only the first", (0, 1): "only the second", (1, 1): "both", (0, 0): "neither"}
-            groups = {title: [] for title in titles.values()}
-            column = SCORES.index(score)
-            for question in shared:
-                first_score, second_score = (run.scores[question.question_id][column] for run in (first, second))
-                groups[titles[first_score, second_score]].append(question)
+            column, names = SCORES.index(score), [question.question_id for question in shared]
+            keys = [(first.scores[name][column], second.scores[name][column]) for name in names]
+        pairs = list(zip(keys, shared, strict=True))
+        groups = {title: [question for key, question in pairs if key == kind] for kind, title in titles.items()}
         return self._html(
             "view_compare.html", first=first, second=second, groups=groups, n=len(shared), kinds=SCORES, score=score
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import readable, render, unit_of
@@ -41,41 +41,34 @@ class Asked(NamedTuple):
 def question_page(
     question: QuestionRow,
     info: SequenceInfo,
-    runs: Sequence[Any],
     chosen: Any | None,
     transcript: Transcript | None,
     twin: tuple[QuestionRow, str, str] | None,
     truth: StoredRow | None,
-    missing: str,
-    near: Sequence[QuestionRow | None],
-    pictured: bool,
-    address: Callable[..., str],
+    **shown: Any,
 ) -> str:
     """Render the page of one question.
 
     Args:
         question: The question.
         info: The sequence of the question.
-        runs: The runs (`ViewedRun`) that have the question.
         chosen: The run to show in detail, or None.
         transcript: Record of the chosen run's work on the question. None if there is no transcript. If scores may be
             shown, the record is a `Trace`.
         twin: The time twin of the question, the twin's true answer as JSON, and the question's own. None without a
             twin, or if the page may not show true answers.
         truth: Row of the question in the table `answers`. None if the page may not show true answers.
-        missing: Reason why there is no transcript, or an empty text.
-        near: The previous and the next question of the store. None stands for a question that does not exist.
-        pictured: Whether the panoramas of the store are available.
-        address: The function `view.address`, which returns the address of a page.
+        shown: Further values of the template: the runs that have the question (`runs`), the reason why there is no
+            transcript (`missing`), the previous and the next question or None (`near`), whether the store has
+            panoramas (`pictured`), and the function `view.address` (`at`).
 
     Returns:
         The HTML.
     """
-    trace = transcript if isinstance(transcript, Trace) else None
     true = None if truth is None else truth["answer"]
     unit = "" if truth is None else unit_of(truth["plan"])
     mode, fps = question.answer_mode, info.fps
-    given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
+    given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in shown["runs"]}
     if twin is None:
         asked = [_asked(question, true, None, chosen)]
     else:
@@ -85,18 +78,14 @@ def question_page(
         question=question,
         asked=asked,
         info=info,
-        runs=runs,
         chosen=chosen,
         given=given,
         right_text=readable(mode, true, question.choices, fps, unit),
         roles={} if transcript is None else entity_roles(transcript),
         turns=[] if transcript is None else turns_of(transcript)[:_MOST],
         scene=scene(info, transcript),
-        scored=trace is not None,
-        missing=missing,
-        near=near,
-        pictured=pictured,
-        at=address,
+        scored=isinstance(transcript, Trace),
+        **shown,
     )
 
 

@@ -79,13 +79,11 @@ class EpisodeRows:
         if number != self.written:
             raise self._broken(f"has no write {self.written}, or has it twice")
         self.written += 1
-        begins = fact is not None and fact.episode is not None
-        if begins != (number == 0):
+        start = fact and fact.episode
+        if (start and (start.id, start.run)) != ((self.key, self.run) if number == 0 else None):
             raise self._broken("does not begin as its own")
         if fact is None:
             return
-        if fact.episode is not None and (fact.episode.id, fact.episode.run) != (self.key, self.run):
-            raise self._broken("does not begin as its own")
         for field in _NODES:
             for node in getattr(fact, field):
                 if node.id in self.nodes or node.episode != self.key or not node.id.startswith(f"{self.key}/"):
@@ -103,11 +101,8 @@ class EpisodeRows:
     def _broken(self, why: str) -> StoreError:
         return StoreError(f"the record of episode {self.key[:120]} {why}: evaluate its run again")
 
-    def tables(self) -> dict[str, list[tuple[Any, ...]]]:
+    def tables(self, facts: Sequence[Fact]) -> dict[str, list[tuple[Any, ...]]]:
         """Return all rows except `Write` rows, by table, as tuples in the order of the table's columns."""
-        return self._rows(self.facts)
-
-    def _rows(self, facts: Sequence[Fact]) -> dict[str, list[tuple[Any, ...]]]:
         rows: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
         for fact in facts:
             if fact.episode is not None:
@@ -128,10 +123,15 @@ class EpisodeRows:
 
         An agent reads no `Write` and no `Hypothesis`, so only a replay adds these.
         """
-        rows = self._rows(facts)
-        for table in ("Episode", "Slot", "Look", "Entity", *_EDGES.values()):
-            named = [dict(zip(world_schema(table).names, row, strict=True)) for row in rows.get(table, ())]
-            yield from self._statement(table.lower(), [self._numbered(row) for row in named])
+        rows = self.tables(facts)
+        for table in filter(rows.get, ("Episode", "Slot", "Look", "Entity", *_EDGES.values())):
+            text = read_statement(f"world/{table.lower()}.cypher")
+            # Each column costs time, so a row has only the columns that the statement names.
+            columns = set(_COLUMN.findall(text))
+            full = (self._numbered(dict(zip(world_schema(table).names, row, strict=True))) for row in rows[table])
+            named = [{column: row[column] for column in columns} for row in full]
+            values = {"episode": self.key, "hash": episode_hash(self.key), "rows": named}
+            yield text, {name: values[name] for name in parameters(text)}
 
     def _numbered(self, row: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the row of an edge with the numbers of its ends, by which statements find these nodes."""
@@ -140,16 +140,6 @@ class EpisodeRows:
         keys = {"source_number": row["from"], "target_number": row["to"]}
         numbers = {name: self.nodes[key].number for name, key in keys.items() if key in self.nodes}
         return {**row, **numbers, **(row["box"]._asdict() if "box" in row else {})}
-
-    def _statement(self, name: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Statement]:
-        """Yield the statement that adds rows, with the columns that it names, because each column costs time."""
-        if not rows:
-            return
-        text = read_statement(f"world/{name}.cypher")
-        columns = set(_COLUMN.findall(text))
-        named = [{column: row[column] for column in columns} for row in rows]
-        values = {"episode": self.key, "hash": episode_hash(self.key), "rows": named}
-        yield text, {name: values[name] for name in parameters(text)}
 
 
 @cache

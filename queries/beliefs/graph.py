@@ -22,7 +22,7 @@ Statement = tuple[str, Mapping[str, Any]]
 """Cypher with its parameters."""
 
 
-class WorldGraph:
+class WorldGraph(contextlib.AbstractContextManager["WorldGraph"]):
     """Session on the world tables. Any number of threads may use it; they take turns.
 
     Attributes:
@@ -55,9 +55,6 @@ class WorldGraph:
     def close(self) -> None:
         """Close the session. A second call does nothing."""
         self.graph.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

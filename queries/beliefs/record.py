@@ -71,7 +71,7 @@ def replay(record: pa.Table) -> dict[str, pa.Table]:
         rows["Write"].append((key, episode.key, *line))
         rows["Wrote"].append((episode.key, key))
     for episode in episodes.values():
-        for table, added in episode.tables().items():
+        for table, added in episode.tables(episode.facts).items():
             rows[table] += added
     return {name: _arrow(world_schema(name), rows[name]) for name in (*WORLD_NODES, *WORLD_RELS)}
 
@@ -92,16 +92,12 @@ def _arrow(schema: pa.Schema, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
     if not rows:
         return schema.empty_table()
     arrays = [
-        _boxes(column) if pa.types.is_struct(field.type) else pa.array(column, field.type)
+        pa.StructArray.from_arrays([pa.array(side, pa.float64()) for side in zip(*column, strict=True)], list("xywh"))
+        if pa.types.is_struct(field.type)
+        else pa.array(column, field.type)
         for field, column in zip(schema, zip(*rows, strict=True), strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
-
-
-def _boxes(column: Sequence[tuple[float, float, float, float]]) -> pa.Array:
-    return pa.StructArray.from_arrays(
-        [pa.array(side, pa.float64()) for side in zip(*column, strict=True)], list("xywh")
-    )
 
 
 # -- into a graph -----------------------------------------------------------------------------------------------------

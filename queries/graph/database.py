@@ -30,6 +30,9 @@ from jrdb_avr.queries.graph.file import (
 from jrdb_avr.schema.catalog import graph_tables
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError, did_you_mean
 
+_BUFFER_BYTES: Final = 256 << 20
+"""Maximum size of the engine's page cache, in bytes. On all of JRDB, no measured query needed more than 256 MB."""
+
 _MEMORY_BYTES: Final = 1 << 30
 """Address space of an in-memory database, in bytes. The engine's default of 8 TiB allows only a few databases."""
 
@@ -83,13 +86,12 @@ class SharedDatabase:
                     self.lock.close()
 
 
-def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
+def acquire_database(path: Path, read_only: bool) -> SharedDatabase:
     """Return the database of a graph file for a new session. Open the database if no session has it open.
 
     Args:
         path: Resolved path of the graph file.
         read_only: Whether the session only reads.
-        buffer_bytes: Maximum size of the engine's page cache, in bytes. Ignored if the database is already open.
 
     Returns:
         The database. Each session must call `release` once.
@@ -102,7 +104,7 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
     with _registry_lock:
         shared = _registry.get(path)
         if shared is None:
-            shared = _registry[path] = _open_database(path, read_only, buffer_bytes)
+            shared = _registry[path] = _open_database(path, read_only)
         elif shared.read_only and not read_only:
             raise LockedError(f"{path} is open for reading in this process: close it first", holder="this process")
         else:
@@ -110,11 +112,10 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
         return shared
 
 
-def create_memory_database(buffer_bytes: int) -> SharedDatabase:
-    """Create an empty database in memory that uses one thread and a page cache of at most `buffer_bytes` bytes."""
-    return SharedDatabase(
-        engine().Database(":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=1)
-    )
+def create_memory_database() -> SharedDatabase:
+    """Create an empty database in memory that uses one thread."""
+    size = {"buffer_pool_size": _BUFFER_BYTES, "max_db_size": _MEMORY_BYTES}
+    return SharedDatabase(engine().Database(":memory:", max_num_threads=1, **size))
 
 
 def check_unused(path: Path) -> None:
@@ -124,30 +125,30 @@ def check_unused(path: Path) -> None:
             raise LockedError(f"{path} is open in this process: close it first", holder="this process")
 
 
-def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
+def _open_database(path: Path, read_only: bool) -> SharedDatabase:
     if read_only and path.with_name(path.name + ".shadow").exists():
         # A writer was killed during a checkpoint. Open the database for writing once, because the engine finishes the
         # checkpoint only if the database is open for writing.
         with contextlib.suppress(StoreError), lock_graph(path, shared=False):
-            _open_file(path, False, buffer_bytes).close()
+            _open_file(path, False).close()
     if not read_only:
         check_room(path)
     lock = lock_graph(path, shared=read_only)
     try:
-        return SharedDatabase(_open_file(path, read_only, buffer_bytes), path, read_only, lock)
+        return SharedDatabase(_open_file(path, read_only), path, read_only, lock)
     except BaseException:
         lock.close()
         raise
 
 
-def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
+def _open_file(path: Path, read_only: bool) -> Any:
     # Check the file before the database is open. Later, the check would drop the engine's lock as it closes the file.
     check_fingerprint(path)
     end = time.monotonic() + ENDING_S
     while True:
         try:
             # Use one thread. With several threads, ORDER BY sometimes sorts only parts of the rows.
-            return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
+            return engine().Database(str(path), read_only=read_only, buffer_pool_size=_BUFFER_BYTES, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
                 advice = UNLIMIT if "Mmap for size" in str(error) else describe_rebuild(path)

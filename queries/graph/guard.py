@@ -22,7 +22,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -157,7 +157,7 @@ def serve() -> None:
     Read the request from stdin. Write the rows to stdout as an Arrow stream, or an error to stderr.
     """
     request = json.loads(sys.stdin.buffer.read())
-    threading.Thread(target=end_beyond_memory, args=(_report_memory,), daemon=True).start()
+    threading.Thread(target=_end_beyond_memory, daemon=True).start()
     try:
         table = _read(**request)
     except (QueryError, StoreError) as error:
@@ -172,24 +172,17 @@ def _report(error: Exception) -> None:
     sys.stderr.buffer.flush()
 
 
-def end_beyond_memory(report: Callable[[], None]) -> None:
-    """Watch the memory of this process, and end the process as soon as its memory exceeds `MEMORY_BYTES`.
+def _end_beyond_memory() -> None:
+    """Report an error and end the process as soon as its memory exceeds `MEMORY_BYTES`.
 
     On Linux, this function never returns. On other systems, it returns at once and has no effect.
-
-    Args:
-        report: Function without arguments that is called once, just before the process ends.
     """
     statm = Path("/proc/self/statm")
     while statm.exists():
         if int(statm.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
-            report()
+            _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
             os._exit(1)
         time.sleep(0.02)
-
-
-def _report_memory() -> None:
-    _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
 
 
 def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> pa.Table:

@@ -23,7 +23,7 @@ import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import pyarrow as pa
 
@@ -51,9 +51,6 @@ from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.queries.workers import Executor
 from jrdb_avr.schema.errors import QueryError, StoreError
 
-BUFFER_BYTES: Final = 256 << 20
-"""Maximum size of the engine's page cache, in bytes. On all of JRDB, no measured query needed more than 256 MB."""
-
 _BUILD_BYTES: Final = 800 << 20
 """Maximum size of the page cache during a build, in bytes. COPY holds each batch of edges in memory twice."""
 
@@ -73,7 +70,7 @@ _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 
 
-class Graph:
+class Graph(contextlib.AbstractContextManager["Graph"]):
     """Session on a graph file (`Graph.open`) or on a new graph in memory (`Graph.memory`). Use it in a `with` block."""
 
     def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
@@ -92,15 +89,12 @@ class Graph:
     # -- opening ----------------------------------------------------------------------------------------------
 
     @classmethod
-    def open(
-        cls, path: str | Path, *, read_only: bool = False, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False
-    ) -> Graph:
+    def open(cls, path: str | Path, *, read_only: bool = False, prepares: bool = False) -> Graph:
         """Open a session on a graph file.
 
         Args:
             path: Graph file that `build_graph` made.
             read_only: Whether the session only reads.
-            buffer_bytes: Maximum size of the engine's page cache, in bytes.
             prepares: Whether the session keeps each parsed statement with parameters, and reuses it for later calls.
                 This saves a third of the time of small statements.
 
@@ -108,13 +102,12 @@ class Graph:
             StoreError: If the file is missing or damaged, or has another version.
             LockedError: If another process writes the file, or if another process reads it and this session writes.
         """
-        shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
-        return cls(shared, read_only, prepares)
+        return cls(acquire_database(Path(path).resolve(), read_only), read_only, prepares)
 
     @classmethod
-    def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
+    def memory(cls, *, prepares: bool = False) -> Graph:
         """Open a session on a new, empty graph in memory. The method `open` describes the arguments."""
-        return cls(create_memory_database(buffer_bytes), prepares=prepares)
+        return cls(create_memory_database(), prepares=prepares)
 
     def close(self) -> None:
         """Close the session. The last session that uses the file closes the file too. A second call has no effect."""
@@ -130,9 +123,6 @@ class Graph:
             self._prepared.clear()
             self._connection.close()
             self._shared.release()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
@@ -164,23 +154,13 @@ class Graph:
         """
         text, values = bind(cypher, params or {})
         with self._lock:
-            self._check_read(text, values, ordered)
+            plan = self._plan(text, values)
+            refuse_wrong_answers(plan, text, lambda probe: self._complaint(probe, values))
+            if plan.writes:
+                raise QueryError(f"this statement writes, use execute(): {shorten(text)}")
+            if ordered and not plan.ordered:
+                raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shorten(text)}")
             return self._run(text, values, timeout_s)
-
-    def prepare(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> None:
-        """Check and parse a statement before `query` runs it. Raises QueryError if the statement is refused."""
-        text, values = bind(cypher, params)
-        with self._lock:
-            self._check_read(text, values, ordered)
-            self._statement(text, values)
-
-    def _check_read(self, text: str, values: Mapping[str, Any], ordered: bool) -> None:
-        plan = self._plan(text, values)
-        refuse_wrong_answers(plan, text, lambda probe: self._complaint(probe, values))
-        if plan.writes:
-            raise QueryError(f"this statement writes, use execute(): {shorten(text)}")
-        if ordered and not plan.ordered:
-            raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shorten(text)}")
 
     def tables(self) -> set[str]:
         """Return the names of all tables of the graph."""

@@ -20,24 +20,16 @@ from jrdb_avr.schema.rules import CONDITION_KINDS
 from jrdb_avr.schema.wording.phrases import FAR_AWAY, handled, handling, phrase_of
 
 _HEADS: Final[dict[tuple[str | None, str | None], str]] = {
-    (None, None): "person",
-    ("female", None): "woman or girl",
-    ("male", None): "man or boy",
-    (None, "childhood"): "child",
-    ("female", "childhood"): "girl",
-    ("male", "childhood"): "boy",
-    (None, "adolescence"): "teenager",
-    ("female", "adolescence"): "teenage girl",
-    ("male", "adolescence"): "teenage boy",
-    (None, "young adulthood"): "young adult",
-    ("female", "young adulthood"): "young woman",
-    ("male", "young adulthood"): "young man",
-    (None, "middle adulthood"): "middle-aged person",
-    ("female", "middle adulthood"): "middle-aged woman",
-    ("male", "middle adulthood"): "middle-aged man",
-    (None, "late adulthood"): "elderly person",
-    ("female", "late adulthood"): "elderly woman",
-    ("male", "late adulthood"): "elderly man",
+    (gender, age): head
+    for age, heads in {
+        None: ("person", "woman or girl", "man or boy"),
+        "childhood": ("child", "girl", "boy"),
+        "adolescence": ("teenager", "teenage girl", "teenage boy"),
+        "young adulthood": ("young adult", "young woman", "young man"),
+        "middle adulthood": ("middle-aged person", "middle-aged woman", "middle-aged man"),
+        "late adulthood": ("elderly person", "elderly woman", "elderly man"),
+    }.items()
+    for gender, head in zip((None, "female", "male"), heads, strict=True)
 }
 """Noun for each pair (gender, age)."""
 

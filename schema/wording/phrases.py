@@ -17,18 +17,6 @@ _PAIR_PHRASES: Final[dict[tuple[str, str], str]] = {
 }
 """Phrases of pairs (verb, category), if the phrases of the verb and the category do not fit together."""
 
-POSES_OF_VERBS: Final[dict[str, tuple[str, ...]]] = {
-    "sitting": ("sitting",),
-    "walking": ("walking",),
-    "standing": ("standing",),
-    "running": ("running",),
-    "riding": ("cycling", "skating", "scootering"),
-    "climbing": ("going upstairs",),
-    "going up": ("going upstairs",),
-    "going down": ("going downstairs",),
-}
-"""Poses that a verb implies, by verb. The verb "riding" may imply any of three poses."""
-
 _BOUNDS: Final = tuple(f"{bound:g}" for bound in DISTANCE_BOUNDS_M)
 
 FAR_AWAY: Final[dict[str, str]] = {

@@ -21,8 +21,9 @@ from jrdb_avr.schema.plan import Condition, Plan, canonical
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.templates import TEMPLATES, Slots, Template, forms_of
+from jrdb_avr.schema.things import POSES_OF_VERBS
 from jrdb_avr.schema.wording.people import ACTION_OF, describe, in_order, read_description
-from jrdb_avr.schema.wording.phrases import POSES_OF_VERBS, phrase_of
+from jrdb_avr.schema.wording.phrases import phrase_of
 from jrdb_avr.schema.wording.relations import Style, read_relations, relate
 
 _EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}

@@ -111,7 +111,7 @@ def test_two_hops_are_counted_right():
     for _ in range(12):
         nodes = range(1, rng.choice((4, 6, 10)))
         edges = [(rng.choice(nodes), rng.choice(nodes), rng.randrange(3)) for _ in range(rng.randrange(1, 25))]
-        with Graph.memory(buffer_bytes=64 << 20) as graph:
+        with Graph.memory() as graph:
             fill(graph, edges, nodes)
             for (pattern, meets), (text, holds) in itertools.product(TWO_HOPS.items(), CONDITIONS.items()):
                 for first in (nodes, [1]):

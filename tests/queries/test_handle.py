@@ -157,7 +157,7 @@ _kept = []
 
 def _shared_memory():
     if not _kept:
-        _kept.append(Graph.memory(buffer_bytes=64 << 20))
+        _kept.append(Graph.memory())
     return _kept[0]
 
 

@@ -93,8 +93,8 @@ def test_statements_bind_and_answer_as_readings_do_after_every_write(graph, seed
         assert [dict(one.nodes) for one in found] == [dict(one.nodes) for one in oracle]
         assert [one.log_odds for one in found] == pytest.approx([one.log_odds for one in oracle], abs=1e-6)
         if found:
-            slots = [slot.support.log_odds for slot in episode.slots(found[0])]
-            assert slots == pytest.approx([s.support.log_odds for s in slot_supports(plan, episode.tracks, found[0])])
+            slots = [support.log_odds for _, support in episode.slots(found[0])]
+            assert slots == pytest.approx([each.log_odds for _, each in slot_supports(plan, episode.tracks, found[0])])
             assert episode.conclude(CHOICES, FRAMES) == conclude(plan, episode.tracks, oracle, CHOICES, FRAMES)
             assert facts(episode.read_tracks()) == facts(episode.tracks)
         history.append(episode.tracks)
@@ -124,8 +124,8 @@ def test_a_relation_of_places_is_asked_at_each_of_its_frames(graph):
         readings = [PersonReading(look, number, frame, box) for number, box in enumerate(boxes, 1)]
         episode.add_people(look, [*zip(people, readings, strict=True)], step)
     binding = episode.bindings()[0]
-    found = [slot.support.log_odds for slot in episode.slots(binding)]
-    assert found == pytest.approx([slot.support.log_odds for slot in slot_supports(TWICE, episode.tracks, binding)])
+    found = [support.log_odds for _, support in episode.slots(binding)]
+    assert found == pytest.approx([support.log_odds for _, support in slot_supports(TWICE, episode.tracks, binding)])
     assert min(found) < 0 < max(found)
 
 

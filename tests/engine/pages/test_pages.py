@@ -709,7 +709,7 @@ def test_a_close_up_reaches_over_the_seam():
     image = np.zeros((480, 3760, 3), np.uint8)
     image[:, 3745:], image[:, :15] = (255, 0, 0), (255, 0, 0)
     seen = close_up("a", Box(3745.0, 200.0, 30.0, 80.0), image, 7)
-    (box,) = seen.boxes
+    ((_, box),) = seen.boxes
     picture = cv2.imdecode(np.frombuffer(base64.b64decode(seen.uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (seen.height, seen.width, 3)
     red = np.flatnonzero(picture[int(box.y + box.h / 2), :, 2] > 128)
