@@ -16,7 +16,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 BUDGETS = {
     "schema": 2800,
-    "loaders": 4900,
+    "loaders": 5060,
     "queries": 2400,
     "engine/generate": 2300,
     "engine/rederive": 1200,
@@ -31,7 +31,7 @@ BUDGETS = {
     "agent/model": 1250,
     "agent/methods": 545,
     "agent/simulated": 950,
-    "agent": 2750,
+    "agent": 2600,
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""

@@ -17,7 +17,7 @@ from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_e
 from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.votes import CERTAIN, UNIT, SlotState, Tracks
 from jrdb_avr.schema.answer_modes import MODES
-from jrdb_avr.schema.answers import Answer, Choice, Number
+from jrdb_avr.schema.answers import Answer, AnswerMode, Choice, Number
 from jrdb_avr.schema.beliefs import free_value
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice, choice_of
 from jrdb_avr.schema.method import Verdict
@@ -122,8 +122,7 @@ def conclude(
     box_frame, box = _evidence(tracks, entity, frame, described)
     if answer is None:
         angle = expected_place(tracks.people[entity], frame).angle
-        guess = MODES[plan.answer.mode].make((frame, frame), angle)
-        return Conclusion(guess_choice(choices) if choices else guess, entity, box_frame, box, "guess")
+        return Conclusion(guess_answer(plan.answer.mode, choices, frame, angle), entity, box_frame, box, "guess")
     hypothesis = best[entity]
     supports = slot_supports(plan, tracks, hypothesis) if slots is None else slots(hypothesis)
     states = [support.state for _, support in supports]
@@ -147,6 +146,21 @@ def needs_everyone(plan: Plan) -> bool:
     """Return whether the answer depends on readings of other people than the target."""
     grouped = plan.answer.attribute == "group_size" or any(time.is_group_event for time in plan.times.values())
     return grouped or plan.answer.read == "count"
+
+
+def guess_answer(mode: AnswerMode, choices: Sequence[str], frame: int, angle: float) -> Answer:
+    """Return a guess: the choice of `guess_choice`, or without choices a frame and an angle.
+
+    Args:
+        mode: Answer mode of the question.
+        choices: Choices of the question.
+        frame: The frame.
+        angle: Panorama angle in degrees.
+
+    Returns:
+        The answer.
+    """
+    return guess_choice(choices) if choices else MODES[mode].make((frame, frame), angle)
 
 
 def guess_choice(choices: Sequence[str]) -> Choice:
@@ -292,23 +306,19 @@ class _Reader:
     # -- moments and numbers ------------------------------------------------------------------------------------------
 
     def _moments(self) -> ReadAnswer:
-        events = [self._bracket(index) for index in range(len(self.plan.answer.times))]
-        moments = [self._moment(index, event) for index, event in enumerate(events)]
-        state = _weakest("open" if event is None else event.state for event in events)
-        frame = next((event.high for event in events if event is not None and event.high is not None), None)
+        indexes = range(len(self.plan.answer.times))
+        events = [self._bracket(index) or Bracket(self._began(index), None) for index in indexes]
+        # The moment of an event that was not seen is the middle of the time in which it may lie.
+        moments = [event.middle or (event.low + self.frames[-1]) / 2 for event in events]
+        state = _weakest(event.state for event in events)
+        frame = next((event.high for event in events if event.high is not None), None)
         first, last = round(moments[0]), round(moments[-1])
-        sighted = [event is not None and event.high is not None for event in events]
+        sighted = [event.high is not None for event in events]
         passed = (moments[-1] - moments[0]) / FPS
         seconds = max(passed, 1.0 if sighted[-1] else _LIKELY_S) if sighted[0] else _LIKELY_S
         angle = expected_place(self.tracks.people[self.entity], first).angle
         answer = MODES[self.plan.answer.mode].make((first, max(first, last)), angle, seconds)
         return ReadAnswer(answer, self._described() if frame is None else frame, state)
-
-    def _moment(self, index: int, bracket: Bracket | None) -> float:
-        """Return the moment of an event. If it was not seen, return the middle of the time in which it may lie."""
-        if bracket is None:
-            return (self._began(index) + self.frames[-1]) / 2
-        return bracket.middle or (bracket.low + self.frames[-1]) / 2
 
     def _count(self) -> ReadAnswer:
         first, last = (self._stated(index) for index in (0, 1))

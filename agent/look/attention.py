@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from jrdb_avr.agent.look.moments import Bracket, brackets, presence
-from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
+from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, slot_supports
 from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.geometry import CIRCLE, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.perceive.readings import CONFIDENCE
@@ -206,12 +206,12 @@ class _Attention:
         """Yield looks at unseen arcs, in the frames for which the plan describes a person."""
         for node in self.plan.nodes:
             axes = [ROBOT_SECTORS[str(part.value)] for part in node.conditions if part.attribute == "sector"]
+            fitting = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node.id).values())
             for frame in map(self.legal, frames_of(self.plan, node.id)):
                 looks = self.tracks.looks.get(frame, ())
                 if axes and not looks:
                     yield NextLook(frame, axes[0], "identify", _AXIS_BITS, f"the plan states the sector of {node.id}")
                 crowd, unseen = self._crowd(frame)
-                fitting = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node.id).values())
                 arc = self._arc(node.id, frame)
                 for gap in gaps(looks, arc):
                     share = crowd * min(gap.span, FOV_DEG - _OVERLAP_DEG / 2) / arc.span
@@ -222,16 +222,11 @@ class _Attention:
 
     def _odds(self, node: str) -> dict[str, float]:
         """Return the log-odds of each entity that may be a node, by its conditions and the edges that lead to it."""
-        parts = [part for part in parts_of(self.plan) if part.nodes[-1] == node]
         best: dict[str, float] = {}
         for hypothesis in self.hypotheses:
             if node in hypothesis.nodes:
-                odds = sum(
-                    part.evidence(
-                        part.support(self.tracks, [hypothesis.nodes.get(end, "") for end in part.nodes]).log_odds
-                    )
-                    for part in parts
-                )
+                supports = slot_supports(self.plan, self.tracks, hypothesis)
+                odds = sum(part.evidence(support.log_odds) for part, support in supports if part.nodes[-1] == node)
                 entity = hypothesis.nodes[node]
                 best[entity] = max(odds, best.get(entity, odds))
         return best

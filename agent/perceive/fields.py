@@ -112,17 +112,12 @@ def perceivable(plan: Plan, changes: Mapping[str, int] = MappingProxyType({})) -
     """
     plan = _at_frames(plan, changes)
     things = plan.things
-    if not things:
-        return plan
     people = [node for node in plan.nodes if node.id not in things]
     joins = [edge for edge in plan.edges if edge.target in things and edge.relation not in RELATIONS]
     joins = [edge for edge in joins if edge.relation in VERBS or _free_name(edge) not in _TAKEN]
+    added = [(edge.source, _of_thing(edge, things[edge.target])) for edge in joins]
     nodes = tuple(
-        Node(
-            node.id,
-            (*node.conditions, *(_of_thing(edge, things[edge.target]) for edge in joins if edge.source == node.id)),
-        )
-        for node in people
+        Node(node.id, (*node.conditions, *(part for end, part in added if end == node.id))) for node in people
     )
     answer, target = plan.answer, plan.target
     if answer.of in things:
@@ -145,8 +140,6 @@ def _at_frames(plan: Plan, changes: Mapping[str, int]) -> Plan:
     dated = msgspec.structs.replace(plan, times=plan.times | frames)
     moments = {name: Time(frame=_frame(dated, name)) for name, time in plan.times.items() if time.is_moment}
     times = plan.times | moments | {f"{name}_frame": time for name, time in frames.items()}
-    if not events:
-        return msgspec.structs.replace(plan, times=times)
     nodes = tuple(
         msgspec.structs.replace(node, conditions=tuple(_at_frame(part, events) for part in node.conditions))
         for node in plan.nodes

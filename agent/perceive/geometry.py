@@ -175,21 +175,17 @@ def first_beside(boxes: Mapping[str, Box], source: str, side: Side, looks: Seque
         for target, turn in turns.items():
             # An unseen person just inside the reach may be as near as a target beyond the reach.
             doubtful = Arc(turn - margin, reach - turn + margin)
-            beyond = turn > reach and (doubtful.span < 0 or _seen_on(boxes[source], doubtful, side, looks))
+            beyond = turn > reach and (doubtful.span < 0 or covered(looks, _absolute(boxes[source], doubtful, side)))
             truths[target] = False if beyond else None
         return truths
     limit = min(near) + margin
     alone = sum(turn < limit for turn in turns.values()) == 1
-    sure = alone and _seen_on(boxes[source], Arc(0.0, limit), side, looks)
+    sure = alone and covered(looks, _absolute(boxes[source], Arc(0.0, limit), side))
     return {target: False if turn >= limit else True if sure else None for target, turn in turns.items()}
 
 
-def _seen_on(source: Box, turned: Arc, side: Side, looks: Iterable[SeenColumns]) -> bool:
-    """Return whether looks show an arc that is given in degrees from the source to a side."""
-    return covered(looks, _absolute(source, turned, side))
-
-
 def _absolute(source: Box, turned: Arc, side: Side) -> Arc:
+    """Return the arc that is given in degrees from the source to a side."""
     start = angle_of(source) + (-turned.start - turned.span if side == "left" else turned.start)
     return Arc(start % 360.0, turned.span)
 
@@ -204,16 +200,13 @@ def standing(relation: str, boxes: Mapping[str, Box], source: str, looks: Sequen
         looks: Looks at the frame.
 
     Returns:
-        The truth by name of the target. Empty for a relation that boxes do not decide.
+        The truth by name of the target.
     """
     row = RELATIONS[relation]
-    match row.kind:
-        case "first":
-            return first_beside(boxes, source, row.side, looks)
-        case "window":
-            others = ((name, box) for name, box in boxes.items() if name != source)
-            return {name: within_degrees(boxes[source], box, row.degrees, row.side) for name, box in others}
-    return {}
+    if row.kind == "first":
+        return first_beside(boxes, source, row.side, looks)
+    others = ((name, box) for name, box in boxes.items() if name != source)
+    return {name: within_degrees(boxes[source], box, row.degrees, row.side) for name, box in others}
 
 
 def deciding_arc(relation: str, source: Box) -> Arc:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
@@ -19,6 +19,7 @@ from jrdb_avr.agent.reference.turns import (
     NamedView,
     Turn,
     call_schema,
+    find_view,
     look_schema,
     turn_schema,
     view_parts,
@@ -45,6 +46,9 @@ class ChatMemory:
     """
 
     advises: ClassVar = False
+    tools: ClassVar = (FINAL,)
+    """The only tool: the final answer."""
+
     attempt: Attempt
     system: str
     heading: str
@@ -53,11 +57,6 @@ class ChatMemory:
     parsed: ParsedReply = field(default_factory=ParsedReply)
     unread: bool = False
     _names: int = 0
-
-    @property
-    def tools(self) -> Collection[str]:
-        """The final answer only."""
-        return (FINAL,)
 
     def messages(self, turn: Turn) -> list[Message]:
         """Return all messages so far, and the message of this turn.
@@ -154,10 +153,7 @@ class ChatMemory:
 
     def _evidence(self, observation: object, box: object, key: str, views: Mapping[str, NamedView]) -> Evidence:
         """Return the box in stitched pixels, x in [0, 3760)."""
-        view = views.get(observation) if isinstance(observation, str) else None
-        if view is None:
-            raise DecodeError("observation must name an observation that has been made")
-        image = view.image
+        image = find_view(observation, views).image
         return image.evidence(image.frames[0], read_box(box, image.size, self.attempt.convention, key))
 
     def commit(self, reason: str, step: int) -> ParsedReply:

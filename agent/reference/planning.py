@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import json
 import re
 import time
 from collections.abc import Callable, Collection
@@ -200,21 +201,14 @@ def plan_prompt(task: Task) -> str:
 @cache
 def plan_form() -> dict[str, Any]:
     """Return the JSON Schema of a plan, without descriptions and without null values."""
-    form: dict[str, Any] = _plain(plan_json_schema())
+    form: dict[str, Any] = json.loads(json.dumps(plan_json_schema()), object_hook=_plain)
     return form
 
 
-def _plain(node: Any) -> Any:
-    if isinstance(node, list):
-        return [_plain(entry) for entry in node]
-    if not isinstance(node, dict):
-        return node
-    plain = {key: _plain(value) for key, value in node.items() if key not in _LEFT_OUT}
-    either = plain.pop("anyOf", None)
-    if either is not None:
-        named = [option for option in either if option != {"type": "null"}]
-        plain |= {"anyOf": named} if len(named) > 1 else named[0]
-    return plain
+def _plain(node: dict[str, Any]) -> dict[str, Any]:
+    plain = {key: value for key, value in node.items() if key not in _LEFT_OUT}
+    named = [option for option in plain.pop("anyOf", ()) if option != {"type": "null"}]
+    return plain | ({"anyOf": named} if len(named) > 1 else dict(*named))
 
 
 _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames", "minLength", "maxLength"})
@@ -294,9 +288,7 @@ def _listed(labels: Collection[str], phrases: Callable[[str], str] = str) -> str
 
 def _thing(category: str) -> str:
     """Return the phrases of a question for a thing, or the label if it equals the phrases."""
-    phrases = OBJECT_PHRASES[category]
-    for article in ("a ", "an ", "the ", "some "):
-        phrases = phrases.removeprefix(article)
+    phrases = re.sub("^(a|an|the|some) ", "", OBJECT_PHRASES[category])
     return category if phrases == category.replace("_", " ") else phrases
 
 

@@ -14,7 +14,7 @@ from jrdb_avr.agent.model.decode import BOX_SCHEMA
 from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, SAME_PLACE, Field, read_label, read_person
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.reference.chat_memory import OBSERVATION_SCHEMA
-from jrdb_avr.agent.reference.turns import FINAL, WRITES, NamedView, call_schema, turn_schema
+from jrdb_avr.agent.reference.turns import FINAL, WRITES, NamedView, call_schema, find_view, turn_schema
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import iou
 
@@ -51,7 +51,7 @@ def read_people(
         DecodeError: If the call names no observation, or has no list of at most `MOST_PEOPLE` people.
     """
     part = decode.only_keys(arguments, ("observation", "people"), "add_people")
-    view, persons = _view(part["observation"], views), part["people"]
+    view, persons = find_view(part["observation"], views), part["people"]
     if not isinstance(persons, list) or len(persons) > MOST_PEOPLE:
         raise DecodeError(f'"people" must be a list of at most {MOST_PEOPLE} people')
     first = counts[view.name] + 1
@@ -123,7 +123,7 @@ def read_attribute(
         DecodeError: If the call cannot be read, or its value says nothing.
     """
     part = decode.only_keys(arguments, ("entity", "observation", "name", "value"), "add_attribute")
-    entity, view = _name(part["entity"], "entity"), _view(part["observation"], views)
+    entity, view = _name(part["entity"], "entity"), find_view(part["observation"], views)
     label = read_label(_field(part["name"], _labelled(fields)), part["value"])
     if label is None:
         raise DecodeError("a value that cannot be told is not written")
@@ -148,7 +148,7 @@ def read_relation(
     """
     part = decode.only_keys(arguments, ("source", "observation", "name", "target"), "add_relation")
     source, target = _name(part["source"], "source"), _name(part["target"], "target")
-    view = _view(part["observation"], views)
+    view = find_view(part["observation"], views)
     field = _field(part["name"], [field for field in fields if field.kind == "relation"])
     if source == target:
         raise DecodeError("a relation joins two different people")
@@ -165,13 +165,6 @@ def _field(name: object, fields: Sequence[Field]) -> Field:
         keys = ", ".join(field.key for field in fields)
         raise DecodeError(f"name must be one of {keys}" if keys else "the question has no such field")
     return field
-
-
-def _view(name: object, views: Mapping[str, NamedView]) -> NamedView:
-    view = views.get(name) if isinstance(name, str) else None
-    if view is None:
-        raise DecodeError("observation must name an observation that has been made")
-    return view
 
 
 def _is_name(value: object) -> bool:

@@ -115,33 +115,29 @@ def compact_json(value: object) -> str:
         raise DecodeError("the reply is nested too deeply or too long") from None
 
 
-def printable(text: str, longest: int | None = None) -> str:
+def printable(text: str) -> str:
     """Return a text on one line, without characters that UTF-8 cannot encode.
 
     Args:
         text: The text.
-        longest: Maximum number of characters that are kept.
 
     Returns:
         The text.
     """
-    return " ".join(text[:longest].split()).encode("utf-8", "backslashreplace").decode()
+    return " ".join(text.split()).encode("utf-8", "backslashreplace").decode()
 
 
-def call_schema(tool: str, properties: Mapping[str, Any], optional: Collection[str] = ()) -> dict[str, Any]:
+def call_schema(tool: str, properties: Mapping[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a call.
 
     Args:
         tool: The name of the tool.
         properties: The schema of each argument.
-        optional: The arguments that may be missing.
 
     Returns:
         The schema.
     """
-    schema = decode.closed_object({"tool": {"type": "string", "enum": [tool]}, **properties})
-    schema["required"] = [name for name in schema["required"] if name not in optional]
-    return schema
+    return decode.closed_object({"tool": {"type": "string", "enum": [tool]}, **properties})
 
 
 def turn_schema(calls: Collection[Mapping[str, Any]]) -> dict[str, Any]:
@@ -168,8 +164,8 @@ def look_schema(frames: Sequence[int], advised: bool) -> dict[str, Any]:
     Returns:
         The schema.
     """
-    place = {"frame_id": frame_schema(frames), "angle_deg": {"type": "number"}}
-    return call_schema("observe", place, optional=tuple(place) if advised else ())
+    look = call_schema("observe", {"frame_id": frame_schema(frames), "angle_deg": {"type": "number"}})
+    return look | {"required": ["tool"]} if advised else look
 
 
 _STATED: Final = ("frame_id", "angle_deg", "left")
@@ -208,6 +204,25 @@ def named_view(name: str, observation: Observation | Panorama) -> NamedView:
     # Each turn costs tokens, so the line has only what a call can use.
     line = {key: round(metadata[key], 1) if key == "angle_deg" else metadata[key] for key in _STATED if key in metadata}
     return NamedView(name, kind, image, compact_json(line), picture_of(observation))
+
+
+def find_view(name: object, views: Mapping[str, NamedView]) -> NamedView:
+    """Return the view that a call names.
+
+    Args:
+        name: The value in the call.
+        views: All observations by name.
+
+    Returns:
+        The view.
+
+    Raises:
+        DecodeError: If no observation has the name.
+    """
+    view = views.get(name) if isinstance(name, str) else None
+    if view is None:
+        raise DecodeError("observation must name an observation that has been made")
+    return view
 
 
 def view_parts(views: Sequence[NamedView]) -> list[Part]:

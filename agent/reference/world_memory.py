@@ -10,11 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
-from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
+from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_answer
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
@@ -32,7 +32,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
 )
 from jrdb_avr.agent.reference.turns import Call, NamedView, Turn, compact_json, look_schema, printable, view_parts
-from jrdb_avr.schema.answer_modes import MODES, mode_of, same_answer
+from jrdb_avr.schema.answer_modes import mode_of, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
@@ -75,6 +75,7 @@ class WorldMemory:
     final_refused: whether a final answer was refused because the graph does not support it.
     """
 
+    tools: ClassVar = GRAPH_TOOLS
     attempt: Attempt
     world: WorldEpisode
     fields: Sequence[Field]
@@ -93,11 +94,6 @@ class WorldMemory:
         """The plan as pictures are read for it. The frames of group events follow from what was read."""
         assert self.world.plan is not None, "a plan is set before the first turn"
         return self.world.plan
-
-    @property
-    def tools(self) -> Collection[str]:
-        """The tools of the graph, and the final answer."""
-        return GRAPH_TOOLS
 
     # -- what the model gets ------------------------------------------------------------------------------------------
 
@@ -279,8 +275,6 @@ class WorldMemory:
         Returns:
             At most three looks, the best first.
         """
-        if left <= 0:
-            return ()
         frames = self.attempt.task.sequence.frames
         choices = self.attempt.task.question.choices
         return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
@@ -397,12 +391,8 @@ class WorldMemory:
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
-        task = self.attempt.task
-        if task.question.choices:
-            return guess_choice(task.question.choices)
-        frames = task.sequence.frames or (0,)
-        middle = frames[len(frames) // 2]
-        return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+        question, frames = self.attempt.task.question, self.attempt.task.sequence.frames or (0,)
+        return guess_answer(question.answer_mode, question.choices, frames[len(frames) // 2], 180.0)
 
 
 def _stored(arguments: object) -> msgspec.Raw:

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.look.ranking import PlanPart, absence_evidence, edges_of, frames_of, parts_of
+from jrdb_avr.agent.look.ranking import PlanPart, absence_evidence, frames_of, parts_of
 from jrdb_avr.agent.perceive.geometry import DERIVED
 from jrdb_avr.agent.perceive.readings import PersonReading, has_one_value, topic_of
 from jrdb_avr.agent.perceive.votes import TieKey, Tracks, signed, tie_key
@@ -19,8 +19,8 @@ ENTITY_TOPIC: Final = "entity"
 """Topic of the edge that each entity has."""
 
 _ANY_FRAME: Final = -1
-_FROM_BOXES: Final = frozenset({"sector", "distance", "group_size"})
-"""Attributes that are derived from boxes, distances and relations."""
+_FROM_BOXES: Final = DERIVED | {"sector", "distance", "group_size", SAME_GROUP}
+"""Attributes and relations that are derived from boxes, distances and relations."""
 
 
 class Slot(NamedTuple):
@@ -59,18 +59,14 @@ def slots_of(plan: Plan, episode: str, step: int = 0, first: int = 0) -> tuple[S
         slots.append(Slot(row, part))
 
     add("entity", None, ENTITY_TOPIC, "derived", _ANY_FRAME)
-    conditions = parts_of(plan)[: -len(edges_of(plan)) or None]
-    for part in conditions:
+    for part in parts_of(plan):
+        kind: SlotKind = "condition" if len(part.nodes) == 1 else "edge"
         frame = _ANY_FRAME if part.frame is None or part.name in TIMELESS else part.frame
         if part.name in _FROM_BOXES:
-            add("condition", part, f"{part.name} {part.value} {frame}", "derived", frame)
+            topic = " ".join(filter(None, (part.name, part.value, str(frame))))
+            add(kind, part, topic, "derived", frame)
         else:
-            add("condition", part, topic_of(part.name, part.value), "model", frame)
-    for part in edges_of(plan):
-        if part.name in DERIVED or part.name == SAME_GROUP:
-            add("edge", part, f"{part.name} {part.frame}", "derived", part.frame or 0)
-        else:
-            add("edge", part, part.name, "model", part.frame or 0)
+            add(kind, part, topic_of(part.name, part.value), "model", frame)
     for node in plan.nodes:
         for frame in frames_of(plan, node.id):
             add("presence", None, f"seen {frame}", "derived", frame, node.id)

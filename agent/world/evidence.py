@@ -49,7 +49,7 @@ class Evidence:
         entities = {row["entity"] for row in singles if numbered[row["slot"]].row.topic == ENTITY_TOPIC}
         alone = {
             (node.id, entity): sum(
-                self._log_odds(slot, entity)
+                sum(weight for _, weight in self._votes.get((slot.row.number, entity, ""), ()))
                 if slot.part is None
                 else slot.part.evidence(self.support(slot, entity).log_odds)
                 for slot in slots
@@ -70,11 +70,7 @@ class Evidence:
 
     def support(self, slot: Slot, entity: str, other: str = "") -> Support:
         """Return the support of a slot for an entity or a pair."""
-        votes = self._votes.get((slot.row.number, entity, other), [])
-        return Support(fuse(votes, slot.frame, self._repeats))
-
-    def _log_odds(self, slot: Slot, entity: str) -> float:
-        return sum(weight for _, weight in self._votes.get((slot.row.number, entity, ""), []))
+        return Support(fuse(self._votes.get((slot.row.number, entity, other), ()), slot.frame, self._repeats))
 
 
 def assemble_tracks(sightings: Rows, attributes: Rows, relations: Rows, looks: Rows, repeats: Repeats) -> Tracks:

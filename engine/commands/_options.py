@@ -8,11 +8,17 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
 from jrdb_avr.engine.commands._complete import complete_run
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store as Store
+else:
+    # Commands name this class only in annotations, and its import would slow down the start of each command.
+    Store = Any
 
 _C = TypeVar("_C", bound=Callable[..., Any])
 
@@ -26,7 +32,7 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
     """Return the store at a path, or None if the path is None. Raise StoreError if a newer program wrote the store."""
     from jrdb_avr.queries.manifest import refuse_newer
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.store import Store as Store
 
     if path is None:
         return None
@@ -49,6 +55,13 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         callback=open_store,
         help=f"Folder of the store. Not needed if the environment variable {STORE_VARIABLE} names the folder.",
     )
+
+
+def given(store: Store | None) -> Store:
+    """Return the store of a command that needs none in some forms. Raise UsageError if this form lacks it."""
+    if store is None:
+        raise click.UsageError("Missing option '--store'.")
+    return store
 
 
 def run_argument(name: str, **options: Any) -> Callable[[_C], _C]:

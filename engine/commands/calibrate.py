@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from jrdb_avr.engine.commands._declared import endpoint_options
-from jrdb_avr.engine.commands._options import form_option, store_option
+from jrdb_avr.engine.commands._options import Store, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command()

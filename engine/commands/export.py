@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, run_argument, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, Store, run_argument, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.schema.card import CREATOR, HOME
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command()
@@ -26,15 +23,7 @@ if TYPE_CHECKING:
 @click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
 @click.option("--url", default=HOME, show_default=True, help="With --hf: address of the published questions.")
 def export(
-    store: Store,
-    run: str | None,
-    jsonl: Path | None,
-    public: Path | None,
-    opaque: bool,
-    hf: Path | None,
-    graph: Path | None,
-    creator: str,
-    url: str,
+    store: Store, run: str | None, jsonl: Path | None, public: Path | None, hf: Path | None, **more: Any
 ) -> None:
     """Write questions, predictions or the graph for other machines and tools.
 
@@ -52,38 +41,38 @@ def export(
       jrdb-avr export --store S --graph folder
       jrdb-avr export --store S react-simulated --jsonl predictions.jsonl
     """
+    graph = more["graph"]
     if jsonl is hf is public is graph is None:
         raise click.UsageError("say what to write: --public, --hf, --graph or --jsonl")
     if (run is None) is (jsonl is not None):
         raise click.UsageError("--jsonl needs a RUN; --public, --hf and --graph take no RUN")
-    if opaque and public is None:
+    if more["opaque"] and public is None:
         raise click.UsageError("--opaque is an option of --public")
     if public is not None:
         from jrdb_avr.engine.run.public import export_public
 
         with warnings_as_notes():
-            count = export_public(store, public, opaque)
+            count = export_public(store, public, more["opaque"])
         note(f"wrote {public}: {count} questions and their panoramas")
     if hf is not None:
         from jrdb_avr.engine.integrations.huggingface import export_folders
 
-        published, private = export_folders(store, hf, creator, url)
+        published, private = export_folders(store, hf, more["creator"], more["url"])
         note(f"wrote {published}, to be published, and {private}, which is not")
     if graph is not None:
         from jrdb_avr.engine.integrations.graph_tables import export_graph
 
         entries = export_graph(store, graph)
         note(f"wrote {graph}: {len(entries)} tables with {sum(entry['rows'] for entry in entries):,} rows")
-    if jsonl is None or run is None:
-        return
-    from jrdb_avr.engine.report.prediction_lines import write_lines
-    from jrdb_avr.engine.report.run_scores import predictions_path
-    from jrdb_avr.queries.files import write_bytes
-    from jrdb_avr.queries.store import read_table
+    if jsonl is not None and run is not None:
+        from jrdb_avr.engine.report.prediction_lines import write_lines
+        from jrdb_avr.engine.report.run_scores import predictions_path
+        from jrdb_avr.queries.files import write_bytes
+        from jrdb_avr.queries.store import read_table
 
-    predictions = read_table(predictions_path(store, run))
-    write_bytes(jsonl, b"".join(write_lines(predictions)))
-    note(f"wrote {jsonl}: {len(predictions)} predictions")
+        predictions = read_table(predictions_path(store, run))
+        write_bytes(jsonl, b"".join(write_lines(predictions)))
+        note(f"wrote {jsonl}: {len(predictions)} predictions")
 
 
 @click.command()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
 from jrdb_avr.engine.commands._options import (
     FOLDER,
+    Store,
     executor_option,
     form_option,
     open_store,
@@ -17,9 +18,6 @@ from jrdb_avr.engine.commands._options import (
     store_option,
 )
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command(epilog="Example: jrdb-avr generate --store store --profile paper --workers 2")

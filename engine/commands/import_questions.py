@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import store_option
+from jrdb_avr.engine.commands._options import Store, store_option
 from jrdb_avr.engine.console import note
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command()

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from jrdb_avr.engine.commands._declared import FILTERS, build, field_options
-from jrdb_avr.engine.commands._options import FILE, form_option, page_option, store_option
+from jrdb_avr.engine.commands._options import FILE, Store, form_option, page_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.run.options import QuestionSelection
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command()
@@ -84,8 +81,7 @@ def _import(store: Store, decisions: Path, reviewer: str, form: RowFormat) -> No
     read = read_decisions(decisions, store)
     reviews = import_decisions(store, reviewer, read.decisions)
     rows = store.sql(read_statement("stats/agreements.sql")).to_pylist()
-    if form:
-        print_data(rows, form)
-    elif rows:
-        print_rows([{**row, "kappa": None if row["kappa"] is None else round(row["kappa"], 3)} for row in rows])
+    rounded = [{**row, "kappa": None if row["kappa"] is None else round(row["kappa"], 3)} for row in rows]
+    if rows or form:
+        print_rows(rows if form else rounded, form=form)
     note(f"{len(read.decisions)} decisions of {reviewer} stored; {reviews.num_rows} reviews in all")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, executor_option, form_option, given, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.errors import StoreError
@@ -62,9 +62,9 @@ def command(
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
       jrdb-avr load ~/jrdb/train_dataset_with_activity --fingerprint jrdb.json
     """
-    from jrdb_avr.engine.integrations.fingerprint import renamed_folders
-    from jrdb_avr.engine.integrations.releases import compare_releases
     from jrdb_avr.loaders import load as loading
+    from jrdb_avr.loaders.fingerprint import renamed_folders
+    from jrdb_avr.loaders.releases import compare_releases
     from jrdb_avr.loaders.report import totals
     from jrdb_avr.queries.graph.database import UNLIMIT
 
@@ -73,8 +73,7 @@ def command(
     if root is not None and options["fingerprint"] is not None:
         _describe(root, options["fingerprint"])
         return
-    if store is None:
-        raise click.UsageError("Missing option '--store'.")
+    store = given(store)
     if options["verify"]:
         _verify(store, form)
         return
@@ -123,7 +122,7 @@ def command(
 def _describe(root: Path, file: Path) -> None:
     import msgspec
 
-    from jrdb_avr.engine.integrations.fingerprint import fingerprint
+    from jrdb_avr.loaders.fingerprint import fingerprint
     from jrdb_avr.queries.files import write_bytes
 
     write_bytes(file, msgspec.json.format(msgspec.json.encode(fingerprint(root)), indent=1) + b"\n")

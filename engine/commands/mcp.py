@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from jrdb_avr.engine.commands._declared import field_options
 from jrdb_avr.engine.commands._next import scoring_steps
-from jrdb_avr.engine.commands._options import store_option
+from jrdb_avr.engine.commands._options import Store, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.engine.run.options import MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.schema.errors import InputError
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command()

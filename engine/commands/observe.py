@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from jrdb_avr.engine.commands._complete import complete_sequence
-from jrdb_avr.engine.commands._options import FILE, store_option
+from jrdb_avr.engine.commands._options import FILE, Store, store_option
 from jrdb_avr.engine.console import note
 
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
-
-@click.command(
-    # Because a negative ANGLE, such as -90, looks like an option.
-    context_settings={"ignore_unknown_options": True},
-)
+# A negative ANGLE, such as -90, looks like an option.
+@click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("sequence", shell_complete=complete_sequence)
 @click.argument("frame", type=int)
 @click.argument("angle", type=float, required=False)

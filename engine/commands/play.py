@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from jrdb_avr.engine.commands._declared import FILTERS, build, field_options
 from jrdb_avr.engine.commands._next import scoring_steps
-from jrdb_avr.engine.commands._options import port_option, store_option
+from jrdb_avr.engine.commands._options import Store, port_option, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.engine.run.options import QuestionSelection, RunOptions
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command(epilog="Example: jrdb-avr play --store S --name ada --per-template 2 --seed 1")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import click
 
 from jrdb_avr.engine.commands._complete import complete_query
-from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, given, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
 from jrdb_avr.loaders.inputs import to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
@@ -121,9 +121,9 @@ def _run(
     except UnicodeEncodeError:
         raise click.UsageError("QUERY and --param must be UTF-8 text") from None
     values = {name: parse_value(text) for name, text in params}
-    table = _unique_names(_given(store).query(language, query, values, options["timeout"]))
+    table = _unique_names(given(store).query(language, query, values, options["timeout"]))
     if not table.num_rows and language == "cypher":
-        _note_frame(_given(store), find_query(language, query, values)[1])
+        _note_frame(given(store), find_query(language, query, values)[1])
     if parquet is not None:
         _write_parquet(table, parquet)
         return
@@ -133,7 +133,7 @@ def _run(
         raise QueryError(f"the result holds a time that cannot be printed ({error}): cast it to text") from None
     print_rows(rows, columns=table.column_names, form=form)
     if options["crops"] is not None:
-        _write_crops(_given(store), rows, values, options["crops"])
+        _write_crops(given(store), rows, values, options["crops"])
 
 
 def _write_crops(store: Store, rows: list[dict[str, Any]], values: dict[str, Any], folder: Path) -> None:
@@ -160,7 +160,7 @@ def _note_frame(store: Store, values: Mapping[str, Any]) -> None:
 def _explain(store: Store | None, question: str, form: RowFormat) -> None:
     from jrdb_avr.engine.validate.explain import explain
 
-    explanation = explain(_given(store), question)
+    explanation = explain(given(store), question)
     if form:
         print_data(explanation.rows(), form)
     else:
@@ -193,12 +193,6 @@ def _fold(text: str) -> str:
     guarded = _JSON_TEXT.sub(lambda quoted: quoted[0].replace(" ", "\0"), text)
     lines = textwrap.wrap(guarded, _WIDTH - 2, break_long_words=False, break_on_hyphens=False)
     return "\n".join(lines).replace("\0", " ")
-
-
-def _given(store: Store | None) -> Store:
-    if store is None:
-        raise click.UsageError("Missing option '--store'.")
-    return store
 
 
 def _statement(language: Language, query: str) -> str:

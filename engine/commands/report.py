@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, iou_option, run_argument, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, Store, form_option, iou_option, run_argument, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, warnings_as_notes
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
-
 
 # Because OpenBLAS takes twice the processor time if it multiplies the small matrices of the bootstrap with threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

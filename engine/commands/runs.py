@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from jrdb_avr.engine.cli import NamingGroup
-from jrdb_avr.engine.commands._options import form_option, iou_option, run_argument, store_option
+from jrdb_avr.engine.commands._options import Store, form_option, iou_option, run_argument, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.group(cls=NamingGroup)

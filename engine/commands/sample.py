@@ -58,5 +58,5 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     done.sort(key=lambda written: written.name)
     print_rows(rows(done), title="The sample beside JRDB (synthetic)", form=form)
     if not form:
-        boxes, images_made = sum(written.boxes for written in done), sum(written.images for written in done)
+        boxes, images_made = sum(written.counts["boxes"] for written in done), sum(written.images for written in done)
         note(f"{folder}: {len(done)} sequence{'s' if len(done) > 1 else ''}, {boxes} boxes, {images_made} panoramas")

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import page_option, run_argument, store_option
+from jrdb_avr.engine.commands._options import Store, page_option, run_argument, store_option
 from jrdb_avr.engine.console import note
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command(epilog="Example: jrdb-avr trace react-simulated 0098303b6414dec4 --store S --out trace.html")

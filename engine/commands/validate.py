@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import Store, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")

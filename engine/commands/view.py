@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from jrdb_avr.engine.commands._declared import field_options
-from jrdb_avr.engine.commands._options import iou_option, port_option, store_option
+from jrdb_avr.engine.commands._options import Store, iou_option, port_option, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.engine.run.options import RunOptions
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 @click.command(epilog="Example: jrdb-avr view --store S --answers")

@@ -7,12 +7,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.loaders.synthetic.box_files import _Record
+from jrdb_avr.loaders.synthetic.figures import AWAY
 from jrdb_avr.loaders.synthetic.pictures import Painter
 from jrdb_avr.loaders.synthetic.skeleton import JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
 from jrdb_avr.loaders.synthetic.world import World, spans
@@ -22,13 +24,9 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import OBJECTS
 
-_CocoRecord = dict[str, Any]
-
 _PERSON: Final = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in SKELETON]}
 _SIDEWAYS: Final = 0.8
 """Minimum turn from the robot if the body covers the limbs behind it."""
-_AWAY: Final = -0.25
-"""Minimum turn from the robot if the eyes are hidden."""
 STUFF: Final = frozenset(
     ("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence", "glass")
 )
@@ -36,7 +34,7 @@ _FEW: Final = 12
 """Minimum number of pixels of an annotated segment."""
 
 
-def _coco_text(before: _CocoRecord, annotations: Iterable[list[_CocoRecord]], after: _CocoRecord) -> Iterator[bytes]:
+def _coco_text(before: _Record, annotations: Iterable[list[_Record]], after: _Record) -> Iterator[bytes]:
     """Yield a file's text in parts: the keys before the annotations, the annotations by frame, and the keys after."""
     yield msgspec.json.encode(before)[:-1] + b',"annotations":['
     count = 0
@@ -57,7 +55,7 @@ def visibility(world: World) -> Ints:
     out = np.where(world.joint_covered, 1, 2)
     for limbs, behind in ((RIGHT_SIDE, side < -_SIDEWAYS), (LEFT_SIDE, side > _SIDEWAYS)):
         out[..., limbs] = np.where(behind[..., None], 1, out[..., limbs])
-    out[..., [R_EYE, L_EYE]] *= (toward >= _AWAY)[..., None]
+    out[..., [R_EYE, L_EYE]] *= (toward >= AWAY)[..., None]
     rows = world.joints[..., 1]
     return np.where((rows < 0) | (rows >= HEIGHT), 0, out).astype(np.int64)
 
@@ -73,7 +71,7 @@ def pose_file(world: World) -> Iterator[bytes]:
     return _coco_text({"images": images}, _poses(world, frames, shift), {"categories": [_PERSON]})
 
 
-def _poses(world: World, frames: range, shift: int) -> Iterator[list[_CocoRecord]]:
+def _poses(world: World, frames: range, shift: int) -> Iterator[list[_Record]]:
     rng = world.rng("poses")
     posed = world.boxed & (world.occlusion < 3) & ~spans(rng, world.hidden, 0.004, 10, 60)
     bare = spans(rng, posed & world.hidden, 0.0004, 1, 3)
@@ -85,7 +83,7 @@ def _poses(world: World, frames: range, shift: int) -> Iterator[list[_CocoRecord
         points[..., :2] = np.floor(world.joints[frame, people])
         points[..., 0] %= WIDTH
         points[..., :2] *= points[..., 2:] > 0
-        rows: list[_CocoRecord] = []
+        rows: list[_Record] = []
         for i, keypoints in zip(people.tolist(), points.reshape(len(people), 51).tolist(), strict=True):
             row = {"image_id": frame + shift, "track_id": world.people[i].track, "category_id": 1}
             labelled = {} if bare[frame, i] else {"keypoints": keypoints}
@@ -93,17 +91,8 @@ def _poses(world: World, frames: range, shift: int) -> Iterator[list[_CocoRecord
         yield rows
 
 
-class Segment(NamedTuple):
-    """Segment of a picture: id, run-length code, number of pixels, and box (x, y, w, h)."""
-
-    id: int
-    counts: str
-    area: int
-    box: tuple[int, int, int, int]
-
-
-def segments_of(picture: npt.NDArray[np.uint16]) -> Iterator[Segment]:
-    """Return the segments of a picture (rows, columns) of ids, by id."""
+def segments_of(picture: npt.NDArray[np.uint16]) -> Iterator[tuple[int, _Record]]:
+    """Yield the id of each segment of a picture (rows, columns) of ids, and its mask, number of pixels and box."""
     height = picture.shape[0]
     flat = np.ascontiguousarray(picture.T).ravel()
     first = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1])
@@ -119,7 +108,8 @@ def segments_of(picture: npt.NDArray[np.uint16]) -> Iterator[Segment]:
         x, y = int(begin[0] // height), int(np.where(crosses, 0, begin % height).min())
         right, low = int(end[-1] // height), int(np.where(crosses, height - 1, end % height).max())
         text = compressed(counts if counts[-1] else counts[:-1])
-        yield Segment(int(ids[runs[0]]), text, int(counts[1::2].sum()), (x, y, right - x + 1, low - y + 1))
+        mask, box = {"size": [HEIGHT, WIDTH], "counts": text}, [x, y, right - x + 1, low - y + 1]
+        yield int(ids[runs[0]]), {"segmentation": mask, "area": int(counts[1::2].sum()), "bbox": box}
 
 
 def compressed(counts: Ints) -> str:
@@ -155,17 +145,13 @@ def panoptic_file(world: World) -> Iterator[bytes]:
     ]
     size = {"width": WIDTH, "height": HEIGHT}
     images = [
-        {"id": _image_id(frame), "file_name": _file_name(world, frame), **size}
+        {"id": frame // KEYFRAME_STEP + 1, "file_name": _file_name(world, frame), **size}
         for frame in range(0, world.frames, KEYFRAME_STEP)
     ]
     return _coco_text({"categories": categories, "images": images}, _segments(world), {})
 
 
-def _image_id(frame: int) -> int:
-    return frame // KEYFRAME_STEP + 1
-
-
-def _segments(world: World) -> Iterator[list[_CocoRecord]]:
+def _segments(world: World) -> Iterator[list[_Record]]:
     painter, numbers = Painter(world), category_ids(world)
     names = _names(world, painter)
     frames = range(0, world.frames, KEYFRAME_STEP)
@@ -175,23 +161,16 @@ def _segments(world: World) -> Iterator[list[_CocoRecord]]:
     for frame in frames:
         if frame == skipped:
             continue
-        rows: list[_CocoRecord] = []
-        for segment in segments_of(painter.segment(frame)):
-            category, track = names[segment.id]
-            if segment.area >= _FEW:
-                row = {
-                    "image_id": _image_id(frame),
-                    "category_id": numbers[OBJECTS.index(category)],
-                    "segmentation": {"size": [HEIGHT, WIDTH], "counts": segment.counts},
-                    "area": segment.area,
-                    "bbox": segment.box,
-                    "iscrowd": 0,
-                }
-                rows.append(row | _tracking(world, track))
+        rows: list[_Record] = []
+        for segment, mask in segments_of(painter.segment(frame)):
+            category, track = names[segment]
+            if mask["area"] >= _FEW:
+                ids = {"image_id": frame // KEYFRAME_STEP + 1, "category_id": numbers[OBJECTS.index(category)]}
+                rows.append({**ids, **mask, "iscrowd": 0, **_tracking(world, track)})
         yield rows + rows[-1:] * (frame == doubled)
 
 
-def _tracking(world: World, track: int | None) -> _CocoRecord:
+def _tracking(world: World, track: int | None) -> _Record:
     """Return the tracking number under the key of the file's year."""
     if track is None:
         return {}
@@ -205,10 +184,10 @@ def _names(world: World, painter: Painter) -> dict[int, tuple[str, int | None]]:
     used: dict[str, int] = {}
     for thing in world.things.things:
         used[thing.category] = max(used.get(thing.category, 0), thing.number)
-    steps, panels, things, people = painter.segments
-    out: dict[int, tuple[str, int | None]] = {steps: ("stair", None)}
+    things, people = painter.things, painter.people
+    out: dict[int, tuple[str, int | None]] = {painter.steps: ("stair", None)}
     around = enumerate(painter.surroundings, 1)
-    for segment, category in (*around, *((panel, "wall_panel") for panel in range(panels, things))):
+    for segment, category in (*around, *((panel, "wall_panel") for panel in range(painter.panels, things))):
         if category not in STUFF:
             used[category] = used.get(category, 0) + 1
         out[segment] = category, None if category in STUFF else used[category]

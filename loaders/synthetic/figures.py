@@ -51,7 +51,7 @@ _TROUSERS: Final[tuple[Color, ...]] = ((40, 45, 70), (70, 60, 50), (50, 55, 50),
 _SKINS: Final[tuple[Color, ...]] = ((180, 140, 115), (150, 110, 85), (110, 80, 60), (170, 130, 100))
 _HAIR: Final[tuple[Color, ...]] = ((40, 30, 25), (80, 55, 35), (110, 100, 95), (130, 100, 50))
 
-_AWAY: Final = -0.25
+AWAY: Final = -0.25
 """Minimum turn from the robot if a person hides the face and the held things."""
 _RIGHT: Final = (R_SHOULDER, R_ELBOW, R_WRIST, R_HIP, R_KNEE, R_FOOT)
 _LEFT: Final = (L_SHOULDER, L_ELBOW, L_WRIST, L_HIP, L_KNEE, L_FOOT)
@@ -143,7 +143,7 @@ def draw_figure(canvas: Canvas, figure: Figure) -> None:
     """Draw the figure, in place."""
     shirt, trousers = _SHIRTS[figure.identity % 8], _TROUSERS[figure.identity // 8 % 4]
     skin, hair = _SKINS[figure.identity // 32 % 4], _HAIR[figure.identity // 128 % 4]
-    joints, turned = figure.joints, figure.toward < _AWAY
+    joints, turned = figure.joints, figure.toward < AWAY
     _draw_under(canvas, figure)
     if turned:
         _draw_held(canvas, figure)

@@ -47,9 +47,10 @@ class RelationRuns:
         self.draw = rng.random(len(rows))
 
     def at(self, tick: int) -> list[tuple[int, int, int, int]]:
-        """Return (person, other, label, hand) of the runs at a tick."""
+        """Return (person, other, label, hand) of the runs at a tick, by person and hand: what is held before seats."""
         now = np.flatnonzero((self.first <= tick) & (tick <= self.last))
-        return list(zip(*(x[now].tolist() for x in (self.person, self.target, self.label, self.hand)), strict=True))
+        rows = zip(*(x[now].tolist() for x in (self.person, self.target, self.label, self.hand)), strict=True)
+        return sorted(rows, key=lambda row: (row[0], row[3], row))
 
 
 def interactions_of(rng: Rng, script: Script) -> RelationRuns:

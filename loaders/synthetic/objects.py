@@ -159,8 +159,3 @@ def _pushed(handling: RelationRuns, thing: int, tick: Ints) -> tuple[Floats, Boo
         ahead[during] = _AHEAD[VERBS[handling.label[row]]]
         used |= during
     return ahead, used
-
-
-def handled_at(handling: RelationRuns, tick: int) -> list[tuple[int, int, int, int]]:
-    """Return (person, thing, verb, hand) of a tick in a fixed order. Things in hands come before seats."""
-    return sorted(handling.at(tick), key=lambda row: (row[0], row[3], row))

@@ -6,15 +6,14 @@ The same strokes, with numbers for colours, give the segments of the panoptic la
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from jrdb_avr.loaders.synthetic.backdrop import Backdrop
-from jrdb_avr.loaders.synthetic.figures import OWNER, Canvas, Figure, Held, draw_figure, draw_thing
-from jrdb_avr.loaders.synthetic.objects import BELOW, handled_at
+from jrdb_avr.loaders.synthetic.figures import OWNER, Canvas, Figure, Held, Pixels, draw_figure, draw_thing
+from jrdb_avr.loaders.synthetic.objects import BELOW
 from jrdb_avr.loaders.synthetic.script import one_of
 from jrdb_avr.loaders.synthetic.shapes import Color, shade
 from jrdb_avr.loaders.synthetic.skeleton import facing
@@ -23,8 +22,6 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
-
-_Image = npt.NDArray[np.uint8]
 
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""
@@ -48,17 +45,11 @@ def panorama_frames(world: World, which: str) -> list[int]:
     return list({"none": range(0), "keyframes": keyframes, "all": range(world.frames)}[which])
 
 
-class Segments(NamedTuple):
-    """First numbers of the segments of a sequence. The surroundings have the numbers from 1."""
-
-    steps: int
-    panels: int
-    things: int
-    people: int
-
-
 class Painter:
-    """Painter of the frames of one world. The surroundings are made once and turned with the robot."""
+    """Painter of the frames of one world. The surroundings are made once and turned with the robot.
+
+    `steps`, `panels`, `things` and `people` are the first numbers of the segments. The surroundings have those from 1.
+    """
 
     def __init__(self, world: World) -> None:
         rng = world.rng("colors")
@@ -66,33 +57,30 @@ class Painter:
         self._panel_colors = [one_of(rng, _PANELS) for _ in range(world.panel_boxes.shape[1])]
         self._backdrop = Backdrop(rng)
         self.surroundings = self._backdrop.categories
-        steps = len(self.surroundings) + 1
-        things = steps + 1 + len(self._panel_colors)
-        self.segments = Segments(steps, steps + 1, things, things + len(world.things.things))
+        self.steps, self.panels = len(self.surroundings) + 1, len(self.surroundings) + 2
+        self.things = self.panels + len(self._panel_colors)
+        self.people = self.things + len(world.things.things)
         self._across, self._toward = facing(world.pose, *world.turned)
 
-    def paint(self, frame: int) -> _Image:
+    def paint(self, frame: int) -> Pixels:
         """Return the panorama (480, 3760, 3), RGB."""
-        image: _Image = np.roll(self._backdrop.image, self._turn(frame), axis=1)
-        carried = self._carried(frame)
-        for kind, index in self._from_far(frame):
-            self._draw(Canvas(image), frame, kind, index, carried)
-        return image
+        return self._render(frame, self._backdrop.image)
 
-    def segment(self, frame: int) -> npt.NDArray[np.uint16]:
-        """Return the number of the segment (see `Segments`) at each pixel, (480, 3760)."""
-        image = np.roll(self._backdrop.ids, self._turn(frame), axis=1)
-        carried = self._carried(frame)
-        numbers = {STAIRS: self.segments.steps}
-        numbers |= {thing: self.segments.things + thing for thing in range(len(self._world.things.things))}
-        for kind, index in self._from_far(frame):
-            base = index + (self.segments.people if kind == _PERSON else self.segments.panels)
-            self._draw(Canvas(image, numbers | {OWNER: base}), frame, kind, index, carried)
-        return image
+    def segment(self, frame: int) -> Pixels:
+        """Return the number of the segment at each pixel, (480, 3760)."""
+        things = {thing: self.things + thing for thing in range(len(self._world.things.things))}
+        return self._render(frame, self._backdrop.ids, {STAIRS: self.steps, **things})
 
-    def _turn(self, frame: int) -> int:
+    def _render(self, frame: int, backdrop: Pixels, numbers: dict[int, int] | None = None) -> Pixels:
+        """Draw all items before the backdrop, in colours or in the numbers of their parts."""
         # Turning left by yaw moves what is far to the right by as much.
-        return round(float(self._world.motion.robot[frame, 2]) / (2 * np.pi) * WIDTH)
+        turn = round(float(self._world.motion.robot[frame, 2]) / (2 * np.pi) * WIDTH)
+        image, carried = np.roll(backdrop, turn, axis=1), self._carried(frame)
+        for kind, index in self._from_far(frame):
+            owner = index + (self.people if kind == _PERSON else self.panels)
+            canvas = Canvas(image, None if numbers is None else numbers | {OWNER: owner})
+            self._draw(canvas, frame, kind, index, carried)
+        return image
 
     def _from_far(self, frame: int) -> list[tuple[int, int]]:
         """Return (kind, index) of all people, partitions and things at a frame, the farthest first."""
@@ -148,7 +136,7 @@ class Painter:
     def _carried(self, frame: int) -> dict[int, list[Held]]:
         """Return the things that are drawn with each person."""
         out: dict[int, list[Held]] = {}
-        for person, thing, _, hand in handled_at(self._world.things.handling, int(self._world.tick[frame])):
+        for person, thing, _, hand in self._world.things.handling.at(int(self._world.tick[frame])):
             item = self._world.things.things[thing]
             if not item.standing:
                 out.setdefault(person, []).append(Held(hand, item.category, thing))

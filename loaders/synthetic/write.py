@@ -68,7 +68,6 @@ class Written:
     """
 
     name: str
-    boxes: int
     images: int
     counts: Counter[str]
 
@@ -110,7 +109,7 @@ def write_sequence(order: Order) -> Written:
     if images:
         write_images(world, images, root / "images" / "image_stitched" / order.name)
     counts = _count(world, quirks) + Counter({"interactions": social.interactions})
-    return Written(order.name, counts["boxes"], len(images), counts)
+    return Written(order.name, len(images), counts)
 
 
 def _count(world: World, quirks: Quirks) -> Counter[str]:

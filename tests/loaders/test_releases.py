@@ -2,7 +2,7 @@
 
 import msgspec
 
-from jrdb_avr.engine.integrations.releases import _FRAMES, compare_releases
+from jrdb_avr.loaders.releases import _FRAMES, compare_releases
 from jrdb_avr.loaders.report import FrameRange, Heading, SequenceReport
 
 

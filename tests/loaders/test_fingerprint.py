@@ -7,7 +7,7 @@ import shutil
 import pytest
 from processes import run
 
-from jrdb_avr.engine.integrations.fingerprint import fingerprint
+from jrdb_avr.loaders.fingerprint import fingerprint
 from jrdb_avr.loaders.synthetic.write import plan, write
 
 BOXES = "labels/labels_2d_stitched"
