@@ -52,7 +52,7 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
 CROPS: Final = max(BUDGET, LIMITS.looks)
-"""Number of crops in the request of the check `crops`. No method sends more crops in one request."""
+"""Number of crops in the request of the check `crops`, and of the largest request of a method with the usual budget."""
 
 SENDERS: Final = {
     "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
@@ -93,11 +93,12 @@ class Check:
         return f"{self.name}: {self.result}" + ("" if self.passed else f": {self.remedy}")
 
 
-def preflight(client: Client) -> list[Check]:
+def preflight(client: Client, crops: int = CROPS) -> list[Check]:
     """Check a server.
 
     Args:
         client: The client of the server.
+        crops: Number of crops in the request of the check `crops`.
 
     Returns:
         The checks, in the order of their requests.
@@ -106,7 +107,7 @@ def preflight(client: Client) -> list[Check]:
         EndpointError: If the server sends no reply.
         RunStoppedError: If the server refuses the key, if no credit is left, or if `max_cost` is spent.
     """
-    return list(_checks(client))
+    return list(_checks(client, crops))
 
 
 def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
@@ -159,7 +160,7 @@ def _send(client: Client, system: bool, *parts: Part, schema: Mapping[str, Any] 
         return _Probe(reply, {}, str(error) if cut else f"not followed ({error})", _LONGER_REMEDY if cut else "")
 
 
-def _checks(client: Client) -> Iterator[Check]:
+def _checks(client: Client, crops: int) -> Iterator[Check]:
     text = client.probe([Message("user", (render("preflight_text"),))])
     yield _text(text)
     answered = _send(client, True, render("preflight_text"))
@@ -180,7 +181,7 @@ def _checks(client: Client) -> Iterator[Check]:
     picture = _picture(send)
     yield picture
     if picture.passed:
-        yield from _many_pictures(send)
+        yield from _many_pictures(send, crops)
     # A server can refuse a schema only if requests have one.
     if strict:
         content, keys = "the schema of a plan ($ref at the root)", set(Plan.__struct_fields__)
@@ -243,11 +244,10 @@ def _picture(send: Callable[..., _Probe]) -> Check:
     return Check("picture", right >= _SEEN_CORNERS, result, remedy)
 
 
-def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
+def _many_pictures(send: Callable[..., _Probe], crops: int) -> Iterator[Check]:
     """Send one request with many panoramas and one request with many crops. Yield the check of each request.
 
-    The marked picture is neither the first nor the last, because a server may pass only the first or the last picture
-    to the model.
+    The marked picture is not at the ends, because a server may pass only the first or the last picture to the model.
     """
     frames = range(MOST_LISTED)
     answer = answer_schema("multiple_choice", tuple(map(str, range(1, PANORAMAS + 1))), frames)
@@ -266,15 +266,17 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     calls = probe.value.get("calls")
     last = calls[-1] if isinstance(calls, list) and calls else None
     yield _largest_request("panoramas", content, probe, isinstance(last, dict) and last.get("answer") == 5)
-    content = f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)"
-    parts: list[Part] = [render("preflight_crops", n=CROPS)]
-    for n in range(1, CROPS + 1):
-        box = CORNERS["upper left"] if n == 14 else None
+    marked = crops // 2 + 1
+    content = f"{crops} crops in one request, with the schema of ReAct's turns (anyOf at the root)"
+    parts: list[Part] = [render("preflight_crops", n=crops)]
+    for n in range(1, crops + 1):
+        box = CORNERS["upper left"] if n == marked else None
         parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
     final = {"answer": answer, "evidence_bboxes": evidence_schema(frame_schema(frames))}
     probe = send(*parts, CROP_LINE, schema=react_turn_schema(frames, closed_object(final)))
     # A model that loses count among many crops can still answer, because most questions need only a few crops.
-    yield _largest_request("crops", content, probe, probe.value.get("frame_id") == "000014", needed=bool(probe.fault))
+    right = probe.value.get("frame_id") == f"{marked:06d}"
+    yield _largest_request("crops", content, probe, right, needed=bool(probe.fault))
 
 
 def _largest_request(name: str, content: str, probe: _Probe, right: bool, needed: bool = True) -> Check:

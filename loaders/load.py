@@ -35,7 +35,7 @@ from jrdb_avr.loaders.layers.calibration import cameras_check
 from jrdb_avr.loaders.problems import shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
 from jrdb_avr.loaders.result import LoadResult
-from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
+from jrdb_avr.loaders.root import Root, SequenceFiles, find_root, total_size
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
 from jrdb_avr.loaders.verify import PARTS
 from jrdb_avr.queries.beliefs.graph import make_world_tables
@@ -53,20 +53,6 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
 """Folder inside the store that holds the new files of a load until the load moves them."""
-
-
-@dataclass(frozen=True)
-class Shard:
-    """Arguments of `load_shard`, which loads one sequence in a worker process."""
-
-    files: SequenceFiles
-    staging: str
-    rules: LoadRules
-
-    @property
-    def sequence(self) -> str:
-        """Return the name of the sequence."""
-        return self.files.sequence
 
 
 @dataclass(frozen=True)
@@ -114,8 +100,8 @@ def load(
     advance = step_counter(progress, "loading", len(root.sequences))
     refuse_newer(store.path)
     with store.writing("load"), _staging(store) as staging:
-        shards = [Shard(files, str(staging.path), rules) for files in root.sequences]
-        loaded = map_in_order(load_shard, shards, workers, lambda shard: shard.files.weight, advance)
+        shard = partial(load_shard, staging=str(staging.path), rules=rules)
+        loaded = map_in_order(shard, root.sequences, workers, lambda files: total_size(files.labels.values()), advance)
         results = dict(zip((files.sequence for files in root.sequences), loaded, strict=True))
         reports = _reports(root, results)
         entries = {name: result.entry for name, result in sorted(results.items()) if result.entry is not None}
@@ -157,13 +143,13 @@ def rebuild(
     refuse_public(store.path, "labels")
     with store.writing("load --rebuild"), _staging(store) as staging:
         manifest = store.manifest()
-        shards = [
-            RebuildShard(name, entry, str(store.path), str(staging.path), rules)
-            for name, entry in sorted(manifest.sequences.items())
-        ]
-        advance = step_counter(progress, "rebuilding", len(shards))
-        rebuilt = map_in_order(rebuild_shard, shards, workers, lambda shard: shard.weight, advance)
-        entries = dict(zip(sorted(manifest.sequences), rebuilt, strict=True))
+        sequences = sorted(manifest.sequences.items())
+        shard = partial(rebuild_shard, store=str(store.path), staging=str(staging.path), rules=rules)
+        advance = step_counter(progress, "rebuilding", len(sequences))
+        rebuilt = map_in_order(
+            shard, sequences, workers, lambda item: total_size([store.annotation_path("boxes_2d", item[0])]), advance
+        )
+        entries = {name: entry for (name, _), entry in zip(sequences, rebuilt, strict=True)}
         left_out = _finish(store, staging, manifest.image_root, rules, entries, PARTS[1:])
     sightings = {name: store.interval("sightings", name) for name in entries}
     views = [f"{name}: {line}" for name, table in sightings.items() for line in beside_warnings(table)]
@@ -189,19 +175,17 @@ def resume(store: Store) -> None:
 # -- one sequence ------------------------------------------------------------------------------------------------
 
 
-def load_shard(shard: Shard) -> ShardResult:
+def load_shard(found: SequenceFiles, staging: str, rules: LoadRules) -> ShardResult:
     """Read the files of one sequence, and write its annotation and interval tables into the staging folder."""
     with without_collector(), _one_heap():
-        sequence = shard.files.sequence
-        read = annotate(shard.files)
+        sequence, read = found.sequence, annotate(found)
         files = {
-            layer: shorten(f"{Path(path).parent.name}/{Path(path).name}", 200)
-            for layer, path in shard.files.labels.items()
+            layer: shorten(f"{Path(path).parent.name}/{Path(path).name}", 200) for layer, path in found.labels.items()
         }
         if not read.frames:
             return ShardResult(SequenceReport(sequence, read.problems, files=files), None)
-        intervals = derive(sequence, read.tables, shard.rules)
-        entry = _write(Store(shard.staging), sequence, read.tables, intervals)
+        intervals = derive(sequence, read.tables, rules)
+        entry = _write(Store(staging), sequence, read.tables, intervals)
         tables, cameras = read.tables, cameras_check(read.tables["calibration"])
         labels, images = frame_range(read.label_frames), frame_range(read.frames["images"][0])
         report = SequenceReport(
@@ -244,38 +228,20 @@ def _one_heap() -> Iterator[None]:
         pa.set_memory_pool(before)
 
 
-@dataclass(frozen=True)
-class RebuildShard:
-    """Arguments of `rebuild_shard`, which rebuilds one sequence in a worker process."""
-
-    sequence: str
-    entry: SequenceEntry
-    store: str
-    staging: str
-    rules: LoadRules
-
-    @property
-    def weight(self) -> int:
-        """Return the number of bytes of the file of 2D boxes. Sequences with a larger weight are processed first."""
-        path = Store(self.store).annotation_path("boxes_2d", self.sequence)
-        return path.stat().st_size if path.exists() else 0
-
-
-def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
+def rebuild_shard(item: tuple[str, SequenceEntry], store: str, staging: str, rules: LoadRules) -> SequenceEntry:
     """Derive the intervals of one sequence from its annotation tables, and write them into the staging folder."""
-    store = Store(shard.store)
-    tables = {layer: _loaded_table(store, layer, shard) for layer in ANNOTATIONS}
-    intervals = derive(shard.sequence, tables, shard.rules)
-    kept = {path: digest for path, digest in shard.entry.tables.items() if path.startswith(PARTS[0])}
-    entry = _write(Store(shard.staging), shard.sequence, {}, intervals)
+    sequence, before = item
+    tables = {layer: _loaded_table(Store(store), layer, sequence, before) for layer in ANNOTATIONS}
+    kept = {path: digest for path, digest in before.tables.items() if path.startswith(PARTS[0])}
+    entry = _write(Store(staging), sequence, {}, derive(sequence, tables, rules))
     return SequenceEntry(entry.layers, {**kept, **entry.tables})
 
 
-def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
+def _loaded_table(store: Store, layer: str, sequence: str, entry: SequenceEntry) -> pa.Table:
     """Return the annotation table of a layer. Raise StoreError if the file of the table has changed since the load."""
-    path = store.annotation_path(layer, shard.sequence)
-    table = store.annotation(layer, shard.sequence)
-    if file_hash(path) != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
+    path = store.annotation_path(layer, sequence)
+    table = store.annotation(layer, sequence)
+    if file_hash(path) != entry.tables.get(path.relative_to(store.path).as_posix()):
         raise StoreError(f"{path} is not the file that was loaded: load the annotations again")
     return table
 

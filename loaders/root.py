@@ -12,7 +12,7 @@ import contextlib
 import fnmatch
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -59,15 +59,6 @@ class SequenceFiles:
     """Path by layer. The path of `timestamps` is a folder. The path of `calibration` is a file for all sequences."""
     images: str | None
     """Folder of the panoramas, or None if the sequence has none."""
-
-    @property
-    def weight(self) -> int:
-        """Return the total size of the label files in bytes. Sequences with a larger weight are processed first."""
-        sizes = 0
-        for path in self.labels.values():
-            with contextlib.suppress(OSError):
-                sizes += Path(path).stat().st_size
-        return sizes
 
 
 @dataclass(frozen=True)
@@ -231,6 +222,19 @@ class _Search:
 
     def _shown(self, folder: Path) -> str:
         return shorten(str(folder.relative_to(self.root)) if folder.is_relative_to(self.root) else str(folder), 200)
+
+
+def total_size(paths: Iterable[str | Path]) -> int:
+    """Return the total size of files in bytes. Larger sequences are processed first.
+
+    Args:
+        paths: files. Files that cannot be examined count as empty.
+    """
+    size = 0
+    for path in paths:
+        with contextlib.suppress(OSError):
+            size += Path(path).stat().st_size
+    return size
 
 
 def image_frames(folder: str | None) -> list[int]:

@@ -78,11 +78,6 @@ class _Options:
     contexts: Ints
     weights: Ints
 
-    def at(self, index: int) -> _Options:
-        """Return one option alone."""
-        parts = {name: getattr(self, name)[[index]] for name in ("wrong", "triple", "rank", "base")}
-        return replace(self, **parts)
-
 
 class Level:
     """State of the selected questions of a template with choices.
@@ -153,7 +148,8 @@ class Level:
             options = self._options_of(question.candidate)
             codes = sorted(_CODE[label] for label in question.wrong)
             (index,) = np.flatnonzero((options.wrong == codes).all(axis=1))
-            rows.append(options.at(int(index)))
+            parts = {name: getattr(options, name)[[index]] for name in ("wrong", "triple", "rank", "base")}
+            rows.append(replace(options, **parts))
         return cast(list[int], self._costs(rows).tolist())
 
     def _options_of(self, candidate: Candidate) -> _Options:

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import cast
 
 import msgspec
 from msgspec.structs import replace
 
-from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.plan import Condition, Edge, Plan
 from jrdb_avr.schema.rules import FPS, Rules, frames
 from jrdb_avr.schema.templates import Template, TimeProof
 
 Answer = str | FrameViewpoint
-
-
-def parse_answer(mode: str, text: str) -> Answer:
-    """Return a stored answer as programs return it. A start is decoded, and a choice remains a text."""
-    return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 
 class Program(msgspec.Struct, frozen=True):
@@ -94,8 +87,6 @@ def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
     Yields:
         The kind and the variant of the proof, and the program.
     """
-    if not program.edges:
-        return
     for place, node in enumerate(program.nodes[:-1]):
         yield "hop.stop", str(place), replace(program, target=node)
     for number, edge in enumerate(program.edges, start=1):

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import product
-from typing import Final
+from typing import Final, cast
 
 import msgspec
 from msgspec.structs import replace
@@ -22,7 +22,9 @@ from msgspec.structs import replace
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, TableRow
-from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
+from jrdb_avr.engine.generate.programs import Answer, Program, make_program
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition, Plan, canonical
 from jrdb_avr.schema.relations import RELATIONS, RELATIONS_OF
@@ -147,8 +149,9 @@ def propose(layer: Layer, template: Template) -> Iterable[TableRow]:
 def program_of(proposal: Proposal) -> tuple[Program, Answer]:
     """Return the program of a proposal, with the conditions in the order of the description, and the answer."""
     program = make_program(proposal.sequence, proposal.plan, proposal.template)
-    program = replace(program, conditions=proposal.conditions)
-    return program, parse_answer(proposal.template.spec.mode, proposal.answer)
+    answer, mode = proposal.answer, proposal.template.spec.mode
+    start = cast(FrameViewpoint, decode_answer(mode, answer)) if mode == "frame_viewpoint" else None
+    return replace(program, conditions=proposal.conditions), start or answer
 
 
 # -- forms that need more than a statement ----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import DEFAULTS, EndpointOptions
-from jrdb_avr.agent.preflight import preflight, require
+from jrdb_avr.agent.preflight import CROPS, preflight, require
 from jrdb_avr.agent.simulated.profiles import Errors, profile_of
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
@@ -47,6 +47,7 @@ class Endpoint:
         cache: Path | None = None,
         method: str | None = None,
         strict: bool = False,
+        crops: int = CROPS,
     ) -> None:
         """Send the requests of the preflight to a server. Compare `options` with the options of the calibration.
 
@@ -58,6 +59,7 @@ class Endpoint:
             cache: The file that stores finished calls. If None, calls are not stored.
             method: The name of the method. Only checks that this method needs must pass. If None, all checks must pass.
             strict: Whether to raise an error if a check that must pass fails. Otherwise, `warnings` lists the failure.
+            crops: The number of crops that the largest request of the run can have.
 
         Raises:
             EndpointError: If the server does not reply, if `strict` is true and a check that must pass fails, or if
@@ -69,10 +71,9 @@ class Endpoint:
         self.repeats = USUAL_REPEATS if calibration is None else calibration.repeats
         self.client = Client(base_url, model, options, convention=convention, cache=cache)
         self.convention = self.client.convention
-        checks = preflight(self.client)
-        if strict:
-            require(checks, method)
-        self.warnings = [check.line for check in checks if not check.passed]
+        checks = preflight(self.client, crops)
+        failed = [check.line for check in checks if not check.passed]
+        self.warnings = require(checks, method) if strict else failed
         self.served = self.client.served[0]
         if calibration is not None:
             current = (options.response_format, options.thinking, self.served)

@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.model.prices import Price
+from jrdb_avr.agent.preflight import CROPS
 from jrdb_avr.agent.simulated.profiles import Errors, changed_errors, parse_errors, profile_of
 from jrdb_avr.engine.run.answering import HOPELESS, answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
@@ -300,8 +301,7 @@ def _errors(model: str, options: EvaluateOptions) -> Errors | None:
     if (profile := profile_of(model)) is None:
         return None
     errors = parse_errors(options.method.simulate, profile)
-    epoch = options.run.epoch
-    return errors if epoch is None else msgspec.structs.replace(errors, seed=errors.seed + epoch - 1)
+    return msgspec.structs.replace(errors, seed=errors.seed + (options.run.epoch or 1) - 1)
 
 
 @contextlib.contextmanager
@@ -309,10 +309,11 @@ def _connect(
     run: Run, method: str | Method, model: str, options: EvaluateOptions, errors: Errors | None
 ) -> Iterator[Endpoint]:
     """Check the server of a model, issue a warning for each failed check, and yield the server."""
-    folder, endpoint = run.store.run_path(run.run_id), options.endpoint
+    calibration, calls = read_calibration(run.store, model), run.store.run_path(run.run_id) / "calls.jsonl"
+    looks, endpoint, strict = options.method.looks or CROPS, options.endpoint, options.run.strict_preflight
+    crops = min(looks, options.method.history or looks)
     with serving(model, endpoint.base_url, run.store, errors) as url:
-        calibration, calls = read_calibration(run.store, model), folder / "calls.jsonl"
-        checked = Endpoint(calibration, model, url, endpoint, calls, _name(method), options.run.strict_preflight)
+        checked = Endpoint(calibration, model, url, endpoint, calls, _name(method), strict, crops)
         for line in checked.warnings:
             warn(f"preflight: {line}")
         yield checked

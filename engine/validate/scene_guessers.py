@@ -72,7 +72,7 @@ class _People:
         for row in boxes.to_pylist():
             self.counts[row["sequence"], row["frame"]].update(row["actions"])
         actions = boxes["actions"].to_pylist()
-        self._doing = np.array([sum(_BITS[action] for action in of_box) for of_box in actions], np.int64)
+        self._doing = np.array([sum(_BITS.get(action, 0) for action in of_box) for of_box in actions], np.int64)
 
     def guess(self, group: Sequence[QuestionText]) -> Mapping[str, Chances]:
         """Return the scores of the guesser for choices that are actions, or that say when a person is present."""

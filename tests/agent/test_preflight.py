@@ -14,7 +14,9 @@ from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.preflight import CROPS, SENDERS, preflight, require
 from jrdb_avr.agent.simulated.server import simulated_server
 from jrdb_avr.engine.cli import group
+from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.methods import METHODS
+from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError
 from jrdb_avr.schema.method import DIAGNOSTIC
 
@@ -58,6 +60,24 @@ def test_a_sound_server_passes(response_format):
     assert roles == [["user"], *[["system", "user"]] * (len(roles) - 1)]
     formats = sum("response_format" in request for request in server.requests)
     assert formats == {"json_schema": 8, "json_object": 7, "none": 0}[response_format]
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "crops"),
+    [
+        ("react", MethodOptions(looks=48), 48),
+        ("react", MethodOptions(looks=8), 8),
+        ("agent-no-world", MethodOptions(history=1), 1),
+        ("agent-no-world", MethodOptions(looks=30, history=40), 30),
+        ("monolithic", MethodOptions(), CROPS),
+    ],
+)
+def test_a_run_checks_as_many_crops_as_it_can_send(store, method, options, crops):
+    with FakeServer(seeing) as server:
+        endpoint = EndpointOptions(base_url=server.url)
+        chosen = QuestionSelection(limit=1)
+        evaluate(store, method, "fake", EvaluateOptions(endpoint=endpoint, selection=chosen, method=options))
+    assert len(images(server.requests[8])) == crops
 
 
 def is_picture(request):

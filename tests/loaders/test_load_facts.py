@@ -15,7 +15,7 @@ from oracle_facts import Oracle, facts
 from oracle_files import read_root
 from random_worlds import in_other_words, random_world
 
-from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.load import load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
@@ -73,5 +73,5 @@ def test_many_random_worlds_have_the_facts_of_the_oracle():
 )
 def test_real_annotations_have_the_facts_of_the_oracle(tmp_path, sequence):
     (files,) = (files for files in find_root(REAL).sequences if files.sequence == sequence)
-    load_shard(Shard(files, str(tmp_path), LoadRules()))
+    load_shard(files, str(tmp_path), LoadRules())
     compare_tables(Store(tmp_path), facts(REAL, sequence), sequence)

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from loaded_stores import MemoryStore, kept_in
 
 from jrdb_avr.engine.cli import group
-from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.load import load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.schema.labels import POSES, normal_action
@@ -203,9 +203,9 @@ def named_twice(content):
 
 def test_a_load_refuses_what_is_awkward_and_nothing_else(root, refused, tmp_path):
     # The report tells, which is made beside the tables: none of them is looked at.
-    shards = [Shard(files, str(tmp_path), LoadRules()) for files in find_root(root).sequences]
+    sequences = find_root(root).sequences
     with kept_in(MemoryStore(tmp_path)):
-        reports = [msgspec.to_builtins(load_shard(shard).report) for shard in shards]
+        reports = [msgspec.to_builtins(load_shard(files, str(tmp_path), LoadRules()).report) for files in sequences]
     words = ("label_id", "width or height", "keypoints", "twice")
     found = Counter()
     for report in reports:

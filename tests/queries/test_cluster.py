@@ -92,9 +92,9 @@ def test_a_store_made_on_a_cluster_has_the_bytes_of_one_made_locally(tmp_path, m
     # The worker of each sequence is killed once while it loads.
     load_shard = load.load_shard
 
-    def killed_once(shard):
-        die_once(tmp_path / shard.files.sequence)
-        return load_shard(shard)
+    def killed_once(files, **settings):
+        die_once(tmp_path / files.sequence)
+        return load_shard(files, **settings)
 
     hashes = []
     for folder, executor in ((tmp_path / "local", ("--workers", 1)), (tmp_path / "cluster", ("--executor", "ray"))):

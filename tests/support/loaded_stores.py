@@ -17,7 +17,7 @@ from worlds import load_world, write_root
 
 from jrdb_avr.loaders import load
 from jrdb_avr.loaders.intervals.derive import derive
-from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.load import load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.sequence import annotate
 from jrdb_avr.queries.manifest import SequenceEntry
@@ -33,7 +33,7 @@ def memory_store(folder, world, **rules):
     store = MemoryStore(Path(folder) / "store")
     with kept_in(store):
         for files in find_root(write_root(Path(folder) / "root", world)).sequences:
-            load_shard(Shard(files, str(store.path), LoadRules(**rules)))
+            load_shard(files, str(store.path), LoadRules(**rules))
     return store
 
 
@@ -54,7 +54,7 @@ def load_root(folder, root, **rules):
     store = MemoryStore(Path(folder) / "store")
     (files,) = find_root(root).sequences
     with kept_in(store):
-        return store, load_shard(Shard(files, str(store.path), LoadRules(**rules))).report
+        return store, load_shard(files, str(store.path), LoadRules(**rules)).report
 
 
 def graphless_store(folder, world):

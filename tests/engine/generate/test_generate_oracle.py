@@ -18,7 +18,7 @@ from worlds import person, person_3d
 
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.pool import make_candidate
-from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.load import load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.store import Store
@@ -121,7 +121,7 @@ def test_a_sample_gives_exactly_the_proven_candidates(tmp_path, visibility):
     list(write(plan(tmp_path / "root", [(165, 7)], 0, "none"), 1))
     store = Store(tmp_path / "store")
     [files] = find_root(tmp_path / "root").sequences
-    load_shard(Shard(files, str(store.path), LoadRules(visibility=visibility)))
+    load_shard(files, str(store.path), LoadRules(visibility=visibility))
     expected = rounded(proven(tmp_path / "root", files.sequence, JUDGED[visibility]))
     found = rounded(candidates(store, files.sequence, visibility))
     assert sorted(found - expected)[:3] == []

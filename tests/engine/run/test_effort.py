@@ -47,6 +47,9 @@ def test_fixed_methods_send_exactly_what_is_planned(benchmark_copy):
         assert row["questions"] == 60 and row["prompt_tokens"] is None
         assert (row["calls"], row["pictures"]) == (counts["calls"], counts["pictures"])
         assert row["reply_tokens_low"] <= counts["reply_tokens"] <= row["reply_tokens_high"]
+        # By the server's own count of the same requests. The pictures are equal, so only texts can differ.
+        planned = question_usage(method, [PANORAMAS] * 60)["text_tokens"][0]
+        assert counts["text_tokens"] == pytest.approx(planned, rel=0.02)
 
 
 @pytest.mark.parametrize("method", ["search-recognize", "react", "agent", "agent-passive", "agent-passive-no-world"])

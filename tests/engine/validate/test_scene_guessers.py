@@ -30,14 +30,16 @@ PEOPLE = (
     ("c", 2, "reading", "cycling", 45, False),
     ("c", 3, "reading", "cycling", 45, False),
     ("c", 4, "reading", "cycling", 45, False),
+    # A label outside the vocabulary.
+    ("d", 1, "waiting for sth", "waiting for sth", 45, True),
 )
 
 
 @pytest.fixture
 def store(tmp_path):
-    """Three sequences with these people; the boxes of a sequence are the larger, the larger the track."""
+    """Four sequences with these people; the boxes of a sequence are the larger, the larger the track."""
     store = Store(tmp_path)
-    for name in "abc":
+    for name in "abcd":
         own = [row for row in PEOPLE if row[0] == name]
         box = {"sequence": name, "x": 100.0, "y": 100.0, "h": 100.0}
         rows = {
