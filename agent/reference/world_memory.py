@@ -298,8 +298,9 @@ class WorldMemory:
             due += advised
             columns = SeenColumns(int(crop_left(advised[0].angle)), CROP)
             tracks = tracks.with_people(columns, advised[0].frame, ())
+            # Two looks at one person are alike, and the first look at a frame usually shows a person who is followed.
             searches = due[0].purpose == "identify" or due[0].frame in self.world.tracks.looks
-            more = searches and len(due) < min(left, MOST_LOOKS)
+            more = searches and due[0].purpose not in ("verify", "evidence") and len(due) < min(left, MOST_LOOKS)
             advised = next_looks(self.plan, tracks, self._likely(), left - len(due), frames, 1) if more else ()
         return due
 
