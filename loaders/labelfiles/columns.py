@@ -196,7 +196,8 @@ class Rows:
 
     def _with(self, array: Callable[[str], npt.NDArray[Any]]) -> Self:
         names = [item.name for item in fields(self)]  # type: ignore[arg-type]
-        return replace(self, **{n: array(n) for n in names if isinstance(getattr(self, n), np.ndarray)})  # type: ignore[type-var]
+        arrays = {name: array(name) for name in names if isinstance(getattr(self, name), np.ndarray)}
+        return replace(self, **arrays)  # type: ignore[type-var]
 
 
 def mask_of(rows: Ints, n: int) -> Bools:
