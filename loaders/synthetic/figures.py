@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.loaders.synthetic.shapes import HELD_OBJECTS, METAL, RUBBER, STANDING, WOOD, Color, Disc
+from jrdb_avr.loaders.synthetic.shapes import DRAWINGS, METAL, RUBBER, WOOD, Color, Disc
 from jrdb_avr.loaders.synthetic.skeleton import (
     HEAD,
     HIP,
@@ -128,7 +128,7 @@ class Figure:
 def draw_thing(canvas: Canvas, category: str, box: tuple[int, int, int, int], thing: int) -> None:
     """Draw a standing thing into its box (x, y, w, h in pixels), in place."""
     x, y, w, h = box
-    for color, shapes in STANDING[category].parts:
+    for color, shapes in DRAWINGS.standing[category].parts:
         for shape in shapes:
             if isinstance(shape, Disc):
                 radius = max(1, round(shape.of_width * w + shape.of_height * h))
@@ -223,6 +223,6 @@ def _draw_held(canvas: Canvas, figure: Figure) -> None:
                 canvas.lines([(x, y), (x, top)], (60, 60, 120), thing, 0.03 * meter)
                 canvas.ellipse((x, top), (reach, reach), (60, 60, 120), thing, (0, 180, 360))
             case _:
-                width, height, color = HELD_OBJECTS[category]
+                width, height, color = DRAWINGS.held[category]
                 dx, dy = max(1, round(width * meter / 2)), max(1, round(height * meter / 2))
                 canvas.rectangle((x - dx, y - dy), (x + dx, y + dy), color, thing)
