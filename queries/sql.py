@@ -18,6 +18,7 @@ import pyarrow as pa
 
 from jrdb_avr.queries.graph.parameters import unwrap_scalar
 from jrdb_avr.queries.manifest import MANIFEST_NAME, read_manifest
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
@@ -123,7 +124,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
         raise StoreError(f"{folder} is not a store: run 'jrdb-avr load ROOT --store {folder}' first")
     with duckdb.connect(":memory:") as connection:
         broken = _make_views(connection, folder, tables or {})
-        _lock_down(connection)
+        connection.execute(read_statement("lock_down.sql"))
 
         def select(sql: str, params: Mapping[str, Any] | None = None, timeout_s: float = _TIMEOUT_S) -> pa.Table:
             try:
@@ -176,7 +177,7 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
         if name in tables:
             continue
         if files:
-            paths = [_quoted(str(path.resolve())) for path in files]
+            paths = ["'" + str(path.resolve()).replace("'", "''") + "'" for path in files]
             allowed += paths
             listed = f"[{', '.join(paths)}]"
             kind = f"read_json({listed}, columns={{{_RUN_COLUMNS}}}" if name == "runs" else f"read_parquet({listed}"
@@ -193,25 +194,3 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
             make(name, query, f"cannot make {name}")
     connection.execute(f"SET allowed_paths = [{', '.join(allowed)}]")
     return broken
-
-
-def _lock_down(connection: Any) -> None:
-    """Restrict the statements on a connection to the files of the views.
-
-    Statements can read no other files and no Python objects. They can load no extensions, and change no settings.
-    """
-    for setting in (
-        "enable_progress_bar = false",
-        "python_enable_replacements = false",
-        "autoinstall_known_extensions = false",
-        "autoload_known_extensions = false",
-        "temp_directory = ''",
-        "memory_limit = '2GB'",
-        "enable_external_access = false",
-        "lock_configuration = true",
-    ):
-        connection.execute(f"SET {setting}")
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"

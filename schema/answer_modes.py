@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -87,11 +87,6 @@ class Mode:
     guessers: tuple[Guesser, ...]
     smallest_read: Read
     bin_edges_s: tuple[float, ...] = ()
-    # Created at import, because msgspec crashes if two threads make the first decoder of a type at the same time.
-    _decoder: msgspec.json.Decoder[Any] = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_decoder", msgspec.json.Decoder(self.type))
 
     @property
     def is_choice(self) -> bool:
@@ -156,7 +151,7 @@ class Mode:
             DecodeError: If the text does not fit the mode, or has a number that is not finite.
         """
         try:
-            answer: Answer = self._decoder.decode(text)
+            answer: Answer = _DECODERS[self.name].decode(text)
         except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
             raise DecodeError(f"answer of mode {self.name}: {error}") from None
         for name, kind in self.fields:
@@ -263,6 +258,8 @@ MODES: Final[Mapping[str, Mode]] = {
 }
 """Answer modes by name."""
 
+# Created at import, because msgspec crashes if two threads make the first decoder of a type at the same time.
+_DECODERS: Final = {mode.name: msgspec.json.Decoder(mode.type) for mode in MODES.values()}
 _OF_TYPE: Final = {mode.type: mode for mode in MODES.values()}
 
 

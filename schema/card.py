@@ -5,6 +5,8 @@ The Markdown card and the Croissant metadata of `export` both use these texts.
 
 from __future__ import annotations
 
+import tomllib
+from importlib.resources import files
 from typing import Final, NamedTuple
 
 HOME: Final = "https://jrdb.erc.monash.edu/"
@@ -82,47 +84,7 @@ CITE: Final = """\
             Frankel, Eric and Sadeghian, Amir and Savarese, Silvio},
   journal = {IEEE Transactions on Pattern Analysis and Machine Intelligence}
 }"""
-RAI: Final[dict[str, str]] = {
-    "dataCollection": (
-        "A robot with a ring of cameras drove and stood among people on a university campus, indoors and "
-        "outdoors. The questions were made by a program from the annotations of that video; no person wrote or "
-        "answered one."
-    ),
-    "dataCollectionRawData": ("The panoramas are JRDB's and are not part of this data: obtain them from JRDB."),
-    "dataAnnotationProtocol": (
-        "Annotators of JRDB and its extensions drew boxes and named actions, groups and attributes. A fact that "
-        "they found hard or left open is unknown here, and no question depends on it."
-    ),
-    "dataPreprocessingProtocol": (
-        "A program searches the annotations for facts that single out one person, states them in words, and keeps"
-        " a question only if its answer is proven unique and changes when a stated time or relation is dropped. A"
-        " second program derives every answer again."
-    ),
-    "dataLimitations": (
-        "The answers are as good as the annotations. Wording comes from templates. Without occlusion attributes"
-        " clear views are derived from boxes and groups, so a person may be hidden. Questions can be guessed "
-        "better than by chance; publish the score of a guesser beside results."
-    ),
-    "dataBiases": (
-        "One campus and one robot: places, clothes and habits of few people. Gender and age are impressions of "
-        "annotators, not statements of the people; ethnicity is left out unless the publisher's rules include it."
-    ),
-    "personalSensitiveInformation": (
-        "Questions describe people by visible gender, age, pose and actions. They contain no names. Do not use them to"
-        " identify a person."
-    ),
-    "dataUseCases": (
-        "To measure how models look for visual evidence and answer from it. Not for training, not for "
-        "surveillance, and not for the identification of people."
-    ),
-    "dataSocialImpact": (
-        "Systems that find and follow people by description can help robots to behave among people, and can be "
-        "misused to watch them."
-    ),
-    "dataReleaseMaintenancePlan": (
-        "Each generation of questions has its own version; scores of different versions are not comparable."
-    ),
-}
+RAI: Final[dict[str, str]] = tomllib.loads(files("jrdb_avr.schema").joinpath("rai.toml").read_text("utf-8"))
 """Texts of the Responsible-AI fields by the name of the field in Croissant."""
 
 

@@ -64,8 +64,8 @@ def test_only_what_pyproject_names_is_imported():
         "tabulate",
     }
     declared |= {"jrdb_avr", "jinja2", "sklearn"}
-    # Of the extras, in `engine/integrations/` alone; the last three come with mcp.
-    declared |= {"inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "anyio"}
+    # Of the extras, in `engine/integrations/` alone; pydantic, uvicorn and anyio come with mcp.
+    declared |= {"inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "anyio", "PIL"}
     # IPython runs a notebook, and is imported inside functions alone.
     declared |= {"IPython"}
     # An extra, in `queries/workers.py` alone, inside a function.
@@ -88,7 +88,7 @@ def test_the_agents_edge_never_opens_the_private_tables():
             assert private not in text, path
 
 
-EXTRAS = ("inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "ray")
+EXTRAS = ("inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "ray", "trl", "PIL")
 HEAVY = (*EXTRAS, "kuzu", "duckdb", "pyarrow", "cv2", "numpy", "httpx2", "rich", "msgspec", "jinja2", "sklearn")
 
 

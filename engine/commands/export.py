@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -16,15 +15,14 @@ from jrdb_avr.schema.card import CREATOR, HOME
 @store_option()
 @run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, one per line, for 'score --jsonl'.")
+@click.option("--chat", type=FOLDER, help="Write the model calls of RUN as chats with pictures, to train models on.")
 @click.option("--public", type=FOLDER, help="Write a public store: questions and panoramas, but no answers.")
 @click.option("--opaque", is_flag=True, help="With --public: replace the names of sequences by hashes.")
 @click.option("--hf", type=FOLDER, help="Write DIRECTORY/public, to publish on Hugging Face, and DIRECTORY/private.")
 @click.option("--graph", type=FOLDER, help="Write the nodes and edges of the graph as Parquet, with schema.json.")
 @click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
 @click.option("--url", default=HOME, show_default=True, help="With --hf: address of the published questions.")
-def export(
-    store: Store, run: str | None, jsonl: Path | None, public: Path | None, hf: Path | None, **more: Any
-) -> None:
+def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, **paths: Path | None) -> None:
     """Write questions, predictions or the graph for other machines and tools.
 
     --public writes a store for methods or machines that must not see the answers. 'evaluate' works on a public store.
@@ -40,30 +38,37 @@ def export(
       jrdb-avr export --store S --public folder --opaque
       jrdb-avr export --store S --graph folder
       jrdb-avr export --store S react-simulated --jsonl predictions.jsonl
+      jrdb-avr export --store S react-simulated --chat folder
     """
-    graph = more["graph"]
-    if jsonl is hf is public is graph is None:
-        raise click.UsageError("say what to write: --public, --hf, --graph or --jsonl")
-    if (run is None) is (jsonl is not None):
-        raise click.UsageError("--jsonl needs a RUN; --public, --hf and --graph take no RUN")
-    if more["opaque"] and public is None:
+    public, hf, graph, chat, jsonl = (paths[name] for name in ("public", "hf", "graph", "chat", "jsonl"))
+    if not any(paths.values()):
+        raise click.UsageError("say what to write: --public, --hf, --graph, --jsonl or --chat")
+    if (run is None) is bool(chat or jsonl):
+        raise click.UsageError("--jsonl and --chat need a RUN; --public, --hf and --graph take no RUN")
+    if opaque and public is None:
         raise click.UsageError("--opaque is an option of --public")
     if public is not None:
         from jrdb_avr.engine.run.public import export_public
 
         with warnings_as_notes():
-            count = export_public(store, public, more["opaque"])
+            count = export_public(store, public, opaque)
         note(f"wrote {public}: {count} questions and their panoramas")
     if hf is not None:
         from jrdb_avr.engine.integrations.huggingface import export_folders
 
-        published, private = export_folders(store, hf, more["creator"], more["url"])
+        published, private = export_folders(store, hf, creator, url)
         note(f"wrote {published}, to be published, and {private}, which is not")
     if graph is not None:
         from jrdb_avr.engine.integrations.graph_tables import export_graph
 
         entries = export_graph(store, graph)
         note(f"wrote {graph}: {len(entries)} tables with {sum(entry['rows'] for entry in entries):,} rows")
+    if chat is not None and run is not None:
+        from jrdb_avr.engine.integrations.chat import export_chat
+
+        with warnings_as_notes():
+            count = export_chat(store, run, chat)
+        note(f"wrote {chat}: {count} conversations")
     if jsonl is not None and run is not None:
         from jrdb_avr.engine.report.prediction_lines import write_lines
         from jrdb_avr.engine.report.run_scores import predictions_path

@@ -18,6 +18,7 @@ from jrdb_avr.engine.commands._options import (
     store_option,
 )
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
+from jrdb_avr.schema.errors import StoreError
 
 
 @click.command(epilog="Example: jrdb-avr generate --store store --profile paper --workers 2")
@@ -79,6 +80,10 @@ def generate(
     if made.faults:
         note(f"{len(made.faults)} candidates were not confirmed by another program: this is a fault of the software")
         sys.exit(1)
+    if (held_out := options["disjoint_from"]) and not any(row["reached"] for row in made.selection):
+        raise StoreError(
+            f"no question is left that is disjoint from {held_out}: hold out fewer questions or load more sequences"
+        )
 
 
 def _with_guessers(row: Mapping[str, Any]) -> dict[str, Any]:

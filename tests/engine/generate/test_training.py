@@ -7,6 +7,7 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
+from processes import run
 from question_files import question_files
 from random_worlds import lively_world
 from worlds import load_world
@@ -95,6 +96,13 @@ def test_what_touches_a_held_out_question_is_refused(trained, whole, held_out):
     assert (
         sum(row["held_out"] for row in trained[1].templates) > sum(row["held_out"] for row in whole[1].templates) == 0
     )
+
+
+def test_a_training_set_of_which_nothing_is_left_says_so(copy, whole):
+    # Every candidate touches a held-out question that it is itself.
+    code, out, err = run("generate", "--store", copy().path, "--profile", "train", "--disjoint-from", whole[0].path)
+    assert code == 1 and "Candidates" in out
+    assert err.splitlines()[-1].startswith("jrdb-avr: no question is left that is disjoint from ")
 
 
 def test_the_files_are_the_same_for_any_number_of_workers(trained, held_out, copy):
