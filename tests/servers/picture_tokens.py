@@ -1,4 +1,4 @@
-"""Compare the picture tokens that `transformers serve` counts with the figure of the program: a row of `docs/servers.md`.
+"""Compare the picture tokens that `transformers serve` counts with those of the program (`docs/servers.md`).
 
     python3 -m venv servers
     servers/bin/pip install torch==2.14.1 torchvision==0.29.1 'transformers[serving]==5.24.0' gguf==0.19.0
