@@ -35,25 +35,25 @@ _KEYS: Final = {
 _ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
 
 
-class _Kind:
+class Kind:
     """Merged description of all values under one key."""
 
     def __init__(self) -> None:
         self.types: Counter[str] = Counter()
         self.names: Counter[str] = Counter()
         self.lengths: set[int] = set()
-        self.keys: dict[str, _Kind] = {}
+        self.keys: dict[str, Kind] = {}
 
     def add(self, value: Any, key: str = "") -> None:
         """Add a decoded JSON value."""
         self.types[type(value).__name__] += 1
         if isinstance(value, dict):
             for name, part in value.items():
-                self.keys.setdefault(_without_digits(name), _Kind()).add(part, name)
+                self.keys.setdefault(_without_digits(name), Kind()).add(part, name)
         elif isinstance(value, list):
             self.lengths.add(len(value))
             for part in value:
-                self.keys.setdefault("[]", _Kind()).add(part, key)
+                self.keys.setdefault("[]", Kind()).add(part, key)
         elif isinstance(value, str) and key not in _MASKS and _NAME.fullmatch(value):
             self.names[_without_digits(value)] += 1
 
@@ -89,7 +89,7 @@ def fingerprint(root: str | Path) -> dict[str, Any]:
         raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
     folders: dict[str, Any] = {}
     for path, _, names in sorted(os.walk(root)):
-        folder, kind, sizes = Path(path), _Kind(), dict[str, list[int]]()
+        folder, kind, sizes = Path(path), Kind(), dict[str, list[int]]()
         entry: dict[str, Any] = {"frames": _numbering(names), "labels": {}}
         for name in sorted(names):
             file = folder / name

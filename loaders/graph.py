@@ -221,16 +221,10 @@ def column_names(table: str) -> list[str]:
     return [column.split()[0] for column in NODES[table].split(", ")]
 
 
-def with_wide_integers(rows: pa.Table) -> pa.Table:
-    """Cast all columns of whole numbers to 64 bits, because the graph stores whole numbers with 64 bits."""
-    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
-    return rows.cast(pa.schema(fields))
-
-
 # -- shapes ------------------------------------------------------------------------------------------------------
 
-Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
-"""Function that takes an interval table and returns one column of a table of the graph."""
+Column = str | Callable[[pa.Table], pa.ChunkedArray | pa.Array]
+"""Column of an interval table, or a function that makes one column of a table of the graph from the interval table."""
 
 
 def _number_key(name: str) -> Column:
@@ -256,11 +250,7 @@ def _box(rows: pa.Table) -> pa.Array:
     return pa.StructArray.from_arrays([rows[name].combine_chunks() for name in "xywh"], names=list("xywh"))
 
 
-def _renamed(name: str) -> Column:
-    return lambda rows: rows[name]
-
-
-_PERFORMS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _renamed("action")}
+_PERFORMS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": "action"}
 _BELONGS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _number_key("cluster")}
 _PAIR: Final[dict[str, Column]] = {"from": _number_key("source"), "to": _number_key("target")}
 _HANDLES: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _object_key}
@@ -269,12 +259,12 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Sequence": ("sequence", {}),
     "Frame": ("frames", {"id": _frame_key}),
     "Person": ("persons", {"id": _number_key("track")}),
-    "Object": ("objects", {"id": _object_key, "track": _renamed("object")}),
+    "Object": ("objects", {"id": _object_key, "track": "object"}),
     "SocialGroup": ("memberships", {"id": _number_key("cluster")}),
     "Person SeenIn": ("sightings", {"from": _number_key("track"), "to": _frame_key, "box": _box}),
     "Object SeenIn": ("object_sightings", {"from": _object_key, "to": _frame_key, "box": _box}),
-    "Person Present": ("presences", {"from": _number_key("track"), "to": _renamed("sequence")}),
-    "Person Absent": ("absences", {"from": _number_key("track"), "to": _renamed("sequence")}),
+    "Person Present": ("presences", {"from": _number_key("track"), "to": "sequence"}),
+    "Person Absent": ("absences", {"from": _number_key("track"), "to": "sequence"}),
     "Person Performs": ("actions", _PERFORMS),
     "Person MayPerform": ("possible_actions", _PERFORMS),
     "Person MemberOf": ("memberships", _BELONGS),
@@ -303,7 +293,11 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
     if source == "Object SeenIn":
         rows = pa.concat_tables([rows, INTERVALS["sightings"].empty_table()], promote_options="permissive")
     columns = column_names(source.split()[-1])
-    return with_wide_integers(pa.table({name: made[name](rows) if name in made else rows[name] for name in columns}))
+    sources = {name: made.get(name, name) for name in columns}
+    shaped = pa.table({name: rows[of] if isinstance(of, str) else of(rows) for name, of in sources.items()})
+    # The graph stores whole numbers with 64 bits.
+    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in shaped.schema]
+    return shaped.cast(pa.schema(fields))
 
 
 def _actions(names: set[str]) -> pa.Table:

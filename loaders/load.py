@@ -33,6 +33,7 @@ from jrdb_avr.loaders.intervals.timeline import step_of
 from jrdb_avr.loaders.layers.boxes_2d import box_warnings, sketch_boxes
 from jrdb_avr.loaders.layers.calibration import cameras_check
 from jrdb_avr.loaders.problems import shorten
+from jrdb_avr.loaders.releases import odd_values
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root, total_size
@@ -53,6 +54,8 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
 """Folder inside the store that holds the new files of a load until the load moves them."""
+_TABLES: Final = {"2d": "boxes_2d", "3d": "boxes_3d", "pose": "poses"}
+"""Annotation tables of layers, if their names differ."""
 
 
 @dataclass(frozen=True)
@@ -188,11 +191,19 @@ def load_shard(found: SequenceFiles, staging: str, rules: LoadRules) -> ShardRes
         entry = _write(Store(staging), sequence, read.tables, intervals)
         tables, cameras = read.tables, cameras_check(read.tables["calibration"])
         labels, images = frame_range(read.label_frames), frame_range(read.frames["images"][0])
+        ranges = {
+            layer: frame_range(frames, len(tables.get(_TABLES.get(layer, layer), frames)))
+            for layer, (frames, _) in read.frames.items()
+        }
+        occlusions = tables["boxes_2d"]["occlusion"].value_counts()
         report = SequenceReport(
             sequence,
             read.problems,
             layers=list(entry.layers),
             steps={layer: step_of(read.frames[layer][0]) for layer in entry.layers if layer not in NOT_LABELS},
+            ranges={layer: part for layer in entry.layers if (part := ranges[layer])},
+            occlusions={part["values"] or "": part["counts"] for part in occlusions.to_pylist()},
+            odd_values={layer: odd_values(layer, path) for layer, path in found.labels.items()},
             files=files,
             frames=intervals["frames"].num_rows,
             people=intervals["persons"].num_rows,

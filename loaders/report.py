@@ -47,6 +47,8 @@ class FrameRange(msgspec.Struct):
     first: int
     last: int
     count: int
+    records: int = 0
+    """Number of records in these frames, for a range of one layer."""
 
 
 class ShiftCheck(msgspec.Struct):
@@ -116,6 +118,12 @@ class SequenceReport(msgspec.Struct):
     """By layer of labels, the distance between annotated frames.
 
     The distance is 1 if every frame is annotated, and 15 if one frame per second is annotated."""
+    ranges: dict[str, FrameRange] = {}
+    """By layer, its frames and its number of records."""
+    occlusions: dict[str, int] = {}
+    """By degree of occlusion, the number of 2D boxes."""
+    odd_values: dict[str, list[str]] = {}
+    """By layer, keys that its file lacks, and types of values, unlike the releases."""
     files: dict[str, str] = {}
     """By layer, the name of the file with the folder before it."""
     frames: int = 0
@@ -147,9 +155,9 @@ class SequenceReport(msgspec.Struct):
         return sum(problem.count for problem in self.problems)
 
 
-def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
+def frame_range(frames: npt.NDArray[np.int64], records: int = 0) -> FrameRange | None:
     """Return the range of the ascending `frames`, or None if there are no frames."""
-    return FrameRange(int(frames[0]), int(frames[-1]), len(frames)) if len(frames) else None
+    return FrameRange(int(frames[0]), int(frames[-1]), len(frames), records) if len(frames) else None
 
 
 def sequence_warnings(

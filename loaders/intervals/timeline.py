@@ -82,13 +82,10 @@ class Timeline:
     """
     clock: Clock
 
-    def seconds(self, frame: Ints) -> Floats:
-        """Return the times of frames in seconds after frame 0."""
-        return self.clock.seconds(frame)
-
     def span(self, first: Ints, last: Ints) -> dict[str, Any]:
         """Return the four columns of intervals: first and last frame, and their times in seconds."""
-        return {"first": first, "last": last, "first_s": self.seconds(first), "last_s": self.seconds(last)}
+        times = {"first_s": self.clock.seconds(first), "last_s": self.clock.seconds(last)}
+        return {"first": first, "last": last, **times}
 
     def table(self, kind: str, columns: Mapping[str, Any]) -> pa.Table:
         """Return an interval table.
@@ -110,11 +107,6 @@ class Timeline:
         """Return the grid of a layer, or None if the sequence lacks the layer."""
         frames = self.frames_of(layer)
         return Grid(int(frames[0]), int(frames[-1]), step_of(frames)) if len(frames) else None
-
-    @property
-    def action_step(self) -> int:
-        """Return the step of the layer that decides the keyframes: actions, otherwise 2D, otherwise 3D."""
-        return step_of(self.frames_of(_leading(self.layers)))
 
 
 def step_of(frames: Ints) -> int:
@@ -161,6 +153,7 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints, timestamps: pa.T
 
 
 def _leading(layers: dict[str, Ints]) -> str:
+    """Return the layer that decides the keyframes: actions, otherwise 2D, otherwise 3D."""
     return next((layer for layer in ("actions", "2d", "3d") if layer in layers), "")
 
 
@@ -175,7 +168,7 @@ def sequence_table(line: Timeline, visibility: str) -> pa.Table:
         "fps": FPS,
         "frame_count": int(line.frames[-1]) + 1 if len(line.frames) else 0,
         "layers": list(line.layers),
-        "action_step": line.action_step,
+        "action_step": step_of(line.frames_of(_leading(line.layers))),
         "keyframes": line.keyframes.tolist(),
         "visibility": visibility,
     }
@@ -191,4 +184,4 @@ def frames_table(line: Timeline) -> pa.Table:
     every = np.union1d(line.frames, line.keyframes)
     of = {"keyframe": line.keyframes, "annotated": line.frames_of("2d"), "image": line.frames_of("images")}
     masks = {name: np.isin(every, frames) for name, frames in of.items()}
-    return line.table("frames", {"frame": every, "seconds": line.seconds(every), **masks})
+    return line.table("frames", {"frame": every, "seconds": line.clock.seconds(every), **masks})

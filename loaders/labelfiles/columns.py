@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -188,19 +188,15 @@ class Rows:
 
     def at(self, rows: npt.NDArray[Any]) -> Self:
         """Return a copy with the selected rows only. The argument `rows` is an array of row indices, or a mask."""
-        return self._with({name: getattr(self, name)[rows] for name in self._arrays()})
+        return self._with(lambda name: getattr(self, name)[rows])
 
     def joined(self, others: Sequence[Self]) -> Self:
         """Return a copy that has the rows of this object, followed by the rows of each object in `others`."""
-        parts = (self, *others)
-        return self._with({name: np.concatenate([getattr(x, name) for x in parts]) for name in self._arrays()})
+        return self._with(lambda name: np.concatenate([getattr(part, name) for part in (self, *others)]))
 
-    def _arrays(self) -> list[str]:
-        return [
-            name for name in getattr(self, "__dataclass_fields__", ()) if isinstance(getattr(self, name), np.ndarray)
-        ]
-
-    def _with(self, arrays: dict[str, npt.NDArray[Any]]) -> Self:
+    def _with(self, array: Callable[[str], npt.NDArray[Any]]) -> Self:
+        names = [item.name for item in fields(self)]  # type: ignore[arg-type]
+        arrays = {name: array(name) for name in names if isinstance(getattr(self, name), np.ndarray)}
         return replace(self, **arrays)  # type: ignore[type-var]
 
 

@@ -15,7 +15,7 @@ import re
 import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -201,24 +201,13 @@ def fault_of(error: BaseException) -> tuple[str, str]:
     return reason.replace("`", ""), field
 
 
-class Gathered(NamedTuple):
-    """Content of a label file: columns of all usable records, in the order of the file."""
-
-    columns: Columns
-    """The column `frame`, and the columns that `gather` gets from its argument `take`."""
-    listed: list[int]
-    """Frames with a usable list of records, which may be empty."""
-    complete: list[int]
-    """Frames of `listed` without a refused record."""
-
-
 def gather(
     path: Path,
     suffixes: tuple[str, ...],
     reader: RecordReader[_R],
     take: Callable[[Fields], Columns],
     problems: Problems,
-) -> Gathered:
+) -> tuple[Columns, list[int], list[int]]:
     """Read a label file into columns.
 
     Args:
@@ -227,6 +216,10 @@ def gather(
         reader: decoder of the records.
         take: function that is called with the fields of each batch of records, and returns their columns.
         problems: counter of refused frames and records.
+
+    Returns:
+        The column `frame` and the columns from `take`, of all usable records in the order of the file; the frames with
+        a usable list of records, which may be empty; and the frames of these without a refused record.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -262,7 +255,7 @@ def gather(
             batch = []
     parts.append(take(reader.fields(batch)))
     columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
-    return Gathered({"frame": np.repeat(np.array(listed, np.int64), counts), **columns}, listed, complete)
+    return {"frame": np.repeat(np.array(listed, np.int64), counts), **columns}, listed, complete
 
 
 def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[str, int, msgspec.Raw]]:

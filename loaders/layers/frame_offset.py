@@ -75,10 +75,7 @@ the value of `response_of` by the margin.
 ERRORS_AWAY: Final = 6.0
 """Minimum size of a shift in standard errors for the result "shifted"."""
 
-NO_BOXES: Final = "the 2D layer has no boxes to compare with"
-NO_COMMON_PERSON: Final = "no person is in both layers"
 TOO_STILL: Final = "too few of the people in both layers move enough to tell"
-FOREIGN: Final = "no shift of up to 2 frames makes the boxes fit the 2D boxes"
 
 
 @dataclass(frozen=True)
@@ -166,10 +163,10 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
         The result `agrees`, `shifted` or `not tested`, with the reason.
     """
     if reference is None or not len(reference.frame):
-        return ShiftCheck(layer, "not tested", NO_BOXES)
+        return ShiftCheck(layer, "not tested", "the 2D layer has no boxes to compare with")
     shared = np.isin(tracks.track, reference.track)
     if not shared.any():
-        return ShiftCheck(layer, "not tested", NO_COMMON_PERSON)
+        return ShiftCheck(layer, "not tested", "no person is in both layers")
     rows = np.flatnonzero(shared)
     tracks = tracks.at(rows[:: -(-len(rows) // MAX_ROWS)])
     if tracks.box is not None:
@@ -181,7 +178,8 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
     size = abs(slope.frames)
     if size - CLOCK >= ERRORS_BEYOND * slope.error and size >= ERRORS_AWAY * slope.error:
         if round(size) > max(TRIED):
-            return ShiftCheck(layer, "not tested", FOREIGN, *slope)
+            reason = "no shift of up to 2 frames makes the boxes fit the 2D boxes"
+            return ShiftCheck(layer, "not tested", reason, *slope)
         return _check(layer, round(slope.frames), slope)
     response = response_of(tracks, reference)
     if response >= MIN_RESPONSE and size + ERRORS_BEYOND * slope.error < response:

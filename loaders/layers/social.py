@@ -30,7 +30,6 @@ from jrdb_avr.loaders.labelfiles.records import NOTHING
 from jrdb_avr.loaders.layers.boxes_2d import NO_BOX, SUFFIXES, StitchedBox, take_people, usable_boxes
 from jrdb_avr.loaders.layers.relation_lists import Entry, RelationKind, Relations, person_of, take_lists, thing_of
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import DEMOGRAPHICS, GROUP_INFO, INTERACTIONS, VALUES, normal_interaction, normal_values
 from jrdb_avr.schema.things import VERBS, normal_verb
 
@@ -143,7 +142,8 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
         names = (kind.label, "raw", "difficulty")
         tables[kind.layer] = facts_table(kind.layer, people, relations.facts, names, relations.ends)
         whole = in_whole & ~relations.refused & (relations.present | absent_is_empty)
-        listed.append(_listed_table(whole, kind, people))
+        columns_of = {"frame": people.frame[whole], "track": people.track[whole]}
+        listed.append(pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns_of}))
         frames[kind.layer] = people.frames_of(np.flatnonzero(whole | mask_of(relations.facts.row, len(people.row))))
         unknown += relations.facts.tally(kind.unknown)
     tables["listed"] = pa.concat_tables(listed)
@@ -161,15 +161,6 @@ def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
         older if newer is None else newer if older is None else older + newer
         for older, newer in zip(fields["interactions"], fields["hhi"], strict=True)
     ]
-
-
-def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
-    """Return rows for the table `listed`: one row for each kept record with a whole list.
-
-    `whole` is the mask of these records.
-    """
-    columns = {"frame": people.frame[whole], "track": people.track[whole]}
-    return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 
 
 def _box_table(box: npt.NDArray[np.float64], people: KeptRecords, refusals: Refusals) -> pa.Table:

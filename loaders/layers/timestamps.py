@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -30,19 +30,8 @@ MAX_SECONDS: Final = 1e11
 """Maximum stamp in seconds. A larger number must have another unit."""
 
 
-class Sensor(NamedTuple):
-    """Sensor with a file of stamps. `suffixes` is a regular expression for the suffixes of the images or clouds."""
-
-    name: str
-    file: str
-    suffixes: str
-
-
-SENSORS: Final = (
-    Sensor("clouds", "frames_pc.json", "pcd|pcb|bin"),
-    Sensor("images", "frames_img.json", "jpg|jpeg|png"),
-)
-"""The two sensors, sorted by name like the rows of the table `timestamps`."""
+SENSORS: Final = {"clouds": ("frames_pc.json", "pcd|pcb|bin"), "images": ("frames_img.json", "jpg|jpeg|png")}
+"""File of stamps, and pattern of the suffixes of images or clouds, by sensor. The table `timestamps` has this order."""
 
 
 class _Listed(msgspec.Struct, gc=False):
@@ -80,14 +69,14 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
     """
     columns: dict[str, tuple[Ints, Floats]] = {}
     errors = []
-    for sensor in SENSORS:
+    for sensor, (file, suffixes) in SENSORS.items():
         try:
-            if os.path.lexists(folder / sensor.file):
-                columns[sensor.name] = _stamps(folder / sensor.file, sensor, problems)
+            if os.path.lexists(folder / file):
+                columns[sensor] = _stamps(folder / file, suffixes, problems)
         except InputError as error:
             errors.append(error)
         except OSError as error:
-            errors.append(InputError(f"{sensor.file}: cannot be read: {error.strerror}", file=sensor.file))
+            errors.append(InputError(f"{file}: cannot be read: {error.strerror}", file=file))
     if not columns:
         raise errors[0] if errors else InputError("the folder has neither frames_img.json nor frames_pc.json")
     for unusable in errors:
@@ -110,16 +99,16 @@ def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
     return float(np.median(np.diff(frame) / np.diff(np.asarray(seconds, np.float64))))
 
 
-def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Floats]:
+def _stamps(path: Path, suffixes: str, problems: Problems) -> tuple[Ints, Floats]:
     """Return the frames of the usable entries in ascending order, and the stamp of each frame in seconds."""
     try:
-        entries, refused = _READER.read(decode_file(path, _File).data, problems, lambda raw: sensor.file)
+        entries, refused = _READER.read(decode_file(path, _File).data, problems, lambda raw: path.name)
     except msgspec.DecodeError:
-        raise InputError(f'{sensor.file}: there is no list "data"', file=sensor.file) from None
+        raise InputError(f'{path.name}: there is no list "data"', file=path.name) from None
     if len(entries) + refused > _MAX_ENTRIES:
-        raise InputError(f"{sensor.file}: more than {_MAX_ENTRIES} entries", file=sensor.file)
+        raise InputError(f"{path.name}: more than {_MAX_ENTRIES} entries", file=path.name)
     stamps: list[tuple[int, float]] = []
-    form = re.compile(rf"([0-9]{{6}})\.(?:{sensor.suffixes})")
+    form = re.compile(rf"([0-9]{{6}})\.(?:{suffixes})")
     for entry in entries:
         names = [(listed.url or "").rpartition("/")[2] for listed in entry.cameras or entry.pointclouds or ()]
         frames = {int(match[1]) for match in map(form.fullmatch, names) if match}
@@ -131,18 +120,11 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
             reason = "there is neither a frame_id nor a file name with a frame number"
             if frames:
                 reason = "frame_id and file names are of different frames"
-            problems.add("record", reason, frame=sensor.file, field="frame_id", value=_shown(entry, names))
+            value = entry.timestamp if entry.frame_id is None else (entry.frame_id, *names)
+            problems.add("record", reason, frame=path.name, field="frame_id", value=value)
     stamps.sort()
     frame = np.array([frame for frame, _ in stamps], np.int64)
     seconds = np.array([second for _, second in stamps], np.float64)
     if not ((np.diff(frame) > 0) & (np.diff(seconds) > 0)).all():
-        raise InputError(f"{sensor.file}: timestamps do not increase with the frames", file=sensor.file)
+        raise InputError(f"{path.name}: timestamps do not increase with the frames", file=path.name)
     return frame, seconds
-
-
-def _shown(entry: StampedFrame, names: list[str]) -> Any:
-    """Return what the report shows of a refused entry: its `frame_id` and file names.
-
-    If the entry has no `frame_id`, return its stamp instead.
-    """
-    return entry.timestamp if entry.frame_id is None else (entry.frame_id, *names)

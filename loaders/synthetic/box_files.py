@@ -25,8 +25,6 @@ _Record = dict[str, Any]
 HARD_CODE: Final = 3
 ABSENT_PARTNER: Final = 9000
 """Number of a person without any other record."""
-FILE_ID_SHIFT: Final = 2
-"""Digits of sequences with file names inside that differ from their keys, as in the 2022 train release."""
 
 
 def drawn_difficulty(world: World) -> tuple[Ints, Ints]:
@@ -80,7 +78,8 @@ class Quirks:
         self.points_noise = rng.uniform(0.7, 1.3, shape)
         # A box cut at the image's edge, where the smaller part is a sliver; only of people who are hardly visible.
         self.sliver: Bools = hidden & (rng.random(shape) < 0.5)
-        self.file_shift = FILE_ID_SHIFT if world.named(0, 1) else 0
+        # File names inside differ from their keys, as in the 2022 train release.
+        self.file_shift = 2 * world.named(0, 1)
         self.foreign = int(rng.integers(0, world.frames)) if world.named(1) else -1
         self.flat = int(rng.integers(0, world.frames)) if world.named(2) else -1
         self.lost_2d = (world.frames // 15 // 2) * 15 + 7 if world.named(2) else -1

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -18,21 +18,17 @@ from jrdb_avr.loaders.synthetic.shapes import DRAWINGS, METAL, RUBBER, WOOD, Col
 from jrdb_avr.loaders.synthetic.skeleton import (
     HEAD,
     HIP,
-    L_ELBOW,
     L_EYE,
-    L_FOOT,
     L_HIP,
-    L_KNEE,
     L_SHOULDER,
     L_WRIST,
+    LEFT_SIDE,
     NECK,
-    R_ELBOW,
     R_EYE,
-    R_FOOT,
     R_HIP,
-    R_KNEE,
     R_SHOULDER,
     R_WRIST,
+    RIGHT_SIDE,
 )
 
 Pixels = npt.NDArray[Any]
@@ -53,8 +49,6 @@ _HAIR: Final[tuple[Color, ...]] = ((40, 30, 25), (80, 55, 35), (110, 100, 95), (
 
 AWAY: Final = -0.25
 """Minimum turn from the robot if a person hides the face and the held things."""
-_RIGHT: Final = (R_SHOULDER, R_ELBOW, R_WRIST, R_HIP, R_KNEE, R_FOOT)
-_LEFT: Final = (L_SHOULDER, L_ELBOW, L_WRIST, L_HIP, L_KNEE, L_FOOT)
 
 
 @dataclass(frozen=True)
@@ -91,12 +85,8 @@ class Canvas:
         cv2.fillConvexPoly(self.image, cv2.convexHull(np.array(points, np.int32)), self._ink(color, OWNER))
 
 
-class Held(NamedTuple):
-    """Thing that a person carries or rides: the hand (or `objects.BELOW`), the category and the thing's number."""
-
-    hand: int
-    category: str
-    thing: int
+Held = tuple[int, str, int]
+"""Thing that a person carries or rides: the hand (or `objects.BELOW`), the category and the thing's number."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +138,7 @@ def draw_figure(canvas: Canvas, figure: Figure) -> None:
     if turned:
         _draw_held(canvas, figure)
     # Facing right, the right side of the body is the nearer one.
-    near, far = (_RIGHT, _LEFT) if figure.across >= 0 else (_LEFT, _RIGHT)
+    near, far = (RIGHT_SIDE, LEFT_SIDE) if figure.across >= 0 else (LEFT_SIDE, RIGHT_SIDE)
     _draw_side(canvas, figure, far, shirt, trousers, skin)
     canvas.hull([joints[number] for number in (R_SHOULDER, L_SHOULDER, L_HIP, R_HIP)], shirt)
     canvas.lines([joints[NECK], joints[HIP]], shirt, width=0.24 * figure.meter)
@@ -170,7 +160,7 @@ def _draw_side(
     canvas: Canvas, figure: Figure, limbs: tuple[int, ...], shirt: Color, trousers: Color, skin: Color
 ) -> None:
     """Draw a leg and an arm."""
-    points = [figure.joints[number] for number in limbs]
+    points = [figure.joints[number] for number in limbs[1:]]
     canvas.lines(points[3:], trousers, width=0.13 * figure.meter)
     canvas.lines(points[:3], shirt, width=0.09 * figure.meter)
     canvas.circle(points[2], max(1, round(0.05 * figure.meter)), skin)

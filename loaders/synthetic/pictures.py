@@ -128,8 +128,8 @@ class Painter:
             float(self._across[frame, i]),
             float(self._toward[frame, i]),
             world.people[i].identity,
-            next((held.thing for held in carried if held.hand == BELOW), OWNER),
-            tuple(held for held in carried if held.hand != BELOW),
+            next((thing for hand, _, thing in carried if hand == BELOW), OWNER),
+            tuple(held for held in carried if held[0] != BELOW),
         )
         draw_figure(canvas, figure)
 
@@ -139,7 +139,7 @@ class Painter:
         for person, thing, _, hand in self._world.things.handling.at(int(self._world.tick[frame])):
             item = self._world.things.things[thing]
             if not item.standing:
-                out.setdefault(person, []).append(Held(hand, item.category, thing))
+                out.setdefault(person, []).append((hand, item.category, thing))
         return out
 
 

@@ -95,7 +95,7 @@ class Entries:
 
 
 class SocialFiles:
-    """Writer of the lists of one sequence."""
+    """Writer of the lists of one sequence. `interactions` is the number of entries of `H-interaction` in it."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -110,15 +110,11 @@ class SocialFiles:
         self._groups = _group_texts(rng, world)
         count = len(world.interactions.first)
         self._bonds = Entries(world, world.interactions, rng.choice(3, size=count, p=[0.93, 0.04, 0.03]))
+        self.interactions = len(self._bonds.person)
         self._twice = _some(rng, count, 0.02).tolist()
         self._labels = _written_labels(rng, world)
         self._handled = Entries(world, world.things.handling)
         self._pairs = _thing_texts(rng, world)
-
-    @property
-    def interactions(self) -> int:
-        """Return the number of entries of `H-interaction` in the whole sequence."""
-        return len(self._bonds.person)
 
     def records(self, item: LabelFrame) -> tuple[list[_Record], list[_Record]]:
         """Return records of the social and of the reasoning file at a frame of the 2D file.

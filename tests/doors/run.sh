@@ -8,6 +8,7 @@ shift
 
 declare -A tests=(
   [rl]="tests/engine/integrations/test_rl.py tests/engine/integrations/test_trl.py"
+  [openenv]=tests/engine/integrations/test_openenv.py
 )
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

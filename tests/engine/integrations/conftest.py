@@ -1,5 +1,6 @@
 """What the tests of the integrations share: the simulated model, a store as a machine without answers has it."""
 
+import json
 import shutil
 
 import pyarrow.parquet as pq
@@ -66,3 +67,13 @@ def secrets(small_demo):
     found = {text for text in boxes | plans if len(text) > 12}
     assert len(found) > 20
     return {*found, "target_track"}
+
+
+@pytest.fixture(scope="session")
+def played(small_demo):
+    """The moves of the simulated model by question."""
+    query = "select question_id, response from steps where run_id = $run and kind = 'model' order by question_id, step"
+    moves = {}
+    for row in Store(small_demo.folder / "store").sql(query, run="react-simulated-perfect").to_pylist():
+        moves.setdefault(row["question_id"], []).append(json.loads(json.loads(row["response"])["content"]))
+    return moves

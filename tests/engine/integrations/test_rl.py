@@ -19,16 +19,6 @@ needs("PIL")
 RUN = "react-simulated-perfect"
 
 
-@pytest.fixture(scope="module")
-def played(small_demo):
-    """The moves of the simulated model by question."""
-    query = "select question_id, response from steps where run_id = $run and kind = 'model' order by question_id, step"
-    moves = {}
-    for row in Store(small_demo.folder / "store").sql(query, run=RUN).to_pylist():
-        moves.setdefault(row["question_id"], []).append(json.loads(json.loads(row["response"])["content"]))
-    return moves
-
-
 @pytest.fixture
 def environments(small_demo):
     from jrdb_avr.engine.integrations.trl import Environments
