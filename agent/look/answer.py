@@ -128,13 +128,13 @@ def conclude(
     hypothesis = best[entity]
     supports = slot_supports(plan, tracks, hypothesis) if slots is None else slots(hypothesis)
     states = [support.state for _, support in supports]
-    if not states or hypothesis.log_odds <= 0:
-        verdict: Verdict = "guess"
-    else:
+    verdict: Verdict = "guess"
+    if states and hypothesis.log_odds > 0:
         share = math.exp(hypothesis.log_odds) / sum(math.exp(item.log_odds) for item in best.values())
         clear = hypothesis.log_odds >= CLEAR_ODDS and share >= CLEAR_SHARE and box.h >= CLEAR_HEIGHT
-        # A person who is missed on the way moves all later ends of a chain by one person.
-        clear = clear and not any(edge.relation in FIRST for edge in plan.edges) and not _is_neither(answer, choices)
+        # A person who is missed on the way moves all later ends of a chain. "At neither time" may mean missed, too.
+        clear = clear and not any(edge.relation in FIRST for edge in plan.edges)
+        clear = clear and answer != Choice(choice_of(PRESENCE_ANSWERS[3], choices) or 0)
         verdict = "certain" if clear and {state, *states} == {"certain"} else "supported"
     return Conclusion(answer, entity, box_frame, box, verdict)
 
@@ -196,11 +196,6 @@ def nearest_postures(posture: str) -> tuple[str, ...]:
 def is_doubted(label: str) -> bool:
     """Return whether a label is a posture that often changes into another one, so that no reading of it is certain."""
     return any(count >= _OFTEN and label in (first, last) for first, last, count in CHANGES)
-
-
-def _is_neither(answer: Answer, choices: Sequence[str]) -> bool:
-    """Return whether the answer is "neither time", which missed people give too."""
-    return isinstance(answer, Choice) and answer.choice == choice_of(PRESENCE_ANSWERS[3], choices)
 
 
 def _evidence(tracks: Tracks, entity: str, frame: int, described: Collection[int]) -> tuple[int, Box]:

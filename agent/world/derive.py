@@ -54,7 +54,7 @@ def slots_of(plan: Plan, episode: str, step: int = 0, first: int = 0) -> tuple[S
         name, value, often = (kind, "", 1.0) if part is None else (part.name, part.value, part.often)
         also = "|".join(sorted(may_be_called(value))) if origin == "model" and kind == "condition" else ""
         number = first + len(slots)
-        key = f"{episode}/{number}"
+        key = f"{episode}/slots/{number}"
         row = SlotRow(key, episode, number, step, kind, source, target, name, value, topic, origin, also, frame, often)
         slots.append(Slot(row, part))
 

@@ -165,7 +165,7 @@ class WorldEpisode:
         columns = (180.0, 0, WIDTH)
         if isinstance(view, Observation):
             columns = (float(view.angle_deg), int(view.left), CROP)
-        row = LookRow(f"{self.key}/{name}", self.key, number, step, view.frame_index, *columns)
+        row = LookRow(f"{self.key}/looks/{name}", self.key, number, step, view.frame_index, *columns)
         self._looks[name] = row
         self._write("observe", {"frame": row.frame, "angle": row.angle}, step, Fact(looks=(row,)))
         return name

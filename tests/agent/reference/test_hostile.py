@@ -153,6 +153,8 @@ def test_a_list_of_any_calls_is_read(given):
 
 @pytest.mark.parametrize("key", ["gender", "pose", "relation conversation", "box", "id"])
 @given(value=junk)
+@example(value="0")  # Also the number of a slot.
+@example(value="o1")  # Also the name of a look.
 @settings(max_examples=examples(10))
 def test_any_value_of_a_field_is_read_or_refused(world, key, value):
     def reply(text):
