@@ -273,9 +273,9 @@ class Reader:
         return ghosts
 
     def _box(self, person: Person, box: Box) -> Box:
-        """Return a box with errors. A box that the picture shows whole stays inside the picture."""
+        """Return a box with errors, so that a reply can write the part that the picture shows."""
         if self._picture(person.track).happens(self.errors.wrong_box, "wrong box"):
-            return box._replace(x=box.x + box.w / 2)
+            return box._replace(x=min(box.x + box.w / 2, self.view.width * (1 - 1 / _THINNEST)))
         scale = self.errors.box
         if not scale:
             return box
@@ -283,10 +283,10 @@ class Reader:
         sides = [_BOX_FRAME * _draw_t(at_frame, side) + (1 - _BOX_FRAME) * _draw_t(picture, side) for side in range(4)]
         left, right = box.x + scale * box.w * sides[0], box.x + box.w * (1 + scale * sides[1])
         top, bottom = box.y + scale * box.h * sides[2], box.y + box.h * (1 + scale * sides[3])
-        if box.x >= 0 and box.x + box.w <= self.view.width:
-            left, right = max(left, 0.0), min(right, self.view.width)
+        left, right = max(left, 0.0), min(right, self.view.width)
         top, bottom = max(top, 0.0), min(bottom, float(HEIGHT))
-        return box if right - left < 2 or bottom - top < 2 else Box(left, top, right - left, bottom - top)
+        thin = right - left < max(self.view.width / _THINNEST, 2.0) or bottom - top < 2
+        return box if thin else Box(left, top, right - left, bottom - top)
 
 
 def _covered_share(box: Box, boxes: Sequence[Box]) -> float:

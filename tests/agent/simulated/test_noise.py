@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 
+from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.simulated.noise import CONFUSED, PictureView, Reader
 from jrdb_avr.agent.simulated.people import Person
 from jrdb_avr.agent.simulated.profiles import PERFECT, PROFILES, changed_errors, parse_errors, profile_of
@@ -120,6 +121,14 @@ def test_boxes_err_by_a_share_of_their_sides_and_mostly_alike_within_a_frame():
     within = sorted(abs(row[0] - row[1]) for row in rows)[N // 2]
     between = sorted(abs(row[0] - row[2]) for row in rows)[N // 2]
     assert within < between / 2
+
+
+@pytest.mark.parametrize("changes", [["miss=0", "box=0.3"], ["miss=0", "wrong_box=1"]])
+def test_a_box_at_the_edge_of_a_picture_can_be_written(changes):
+    errors = parse_errors(changes, REALISTIC)
+    for track in range(N):
+        left, _, right, _ = write_box(read(errors, track, left=(130.0, -349.9)[track % 2]).box, (480, 480))
+        assert left < right
 
 
 def test_one_in_twenty_is_taken_for_another_person_and_one_for_a_new_one():
