@@ -212,13 +212,12 @@ def _evaluate(store: Store, evaluation: _Evaluation, scores: bool | None) -> Run
     from jrdb_avr.engine.run.evaluate import evaluate, name_run
 
     texts: dict[str, object] = {}
-    done = total = 0
+    counts = [0, 0]
     show = scores or (scores is None and sys.stderr.isatty())
     with progress_bar(lambda: "; ".join(map(str, texts.values()))) as progress:
 
-        def advance(title: str, *counts: int) -> None:
-            nonlocal done, total
-            done, total = counts
+        def advance(title: str, done: int, total: int) -> None:
+            counts[:] = done, total
             progress(title, done, total)
 
         try:
@@ -231,6 +230,7 @@ def _evaluate(store: Store, evaluation: _Evaluation, scores: bool | None) -> Run
             )
         except (KeyboardInterrupt, RunStoppedError):
             run_id = name_run(store, *evaluation)
-            steps = f"; or score what is finished: {scoring_steps(store.path, run_id)}" if done else ""
-            note(f"{run_id}: {done} of {total} questions are finished; go on: the same command with --resume{steps}")
+            steps = f"; or score what is finished: {scoring_steps(store.path, run_id)}" if counts[0] else ""
+            state = "{} of {} questions are finished".format(*counts) if counts[1] else "no question was asked"
+            note(f"{run_id}: {state}; go on: the same command with --resume{steps}")
             raise

@@ -27,4 +27,4 @@ def command(files: tuple[Path, ...], store: Store) -> None:
     from jrdb_avr.engine.integrations.import_questions import import_questions
 
     count = import_questions(store, files)
-    note(f"imported {count} questions; next: jrdb-avr validate --store {store.path}")
+    note(f"imported {count} question{'s' if count != 1 else ''}; next: jrdb-avr validate --store {store.path}")

@@ -89,6 +89,8 @@ def test_questions_of_another_program_go_through_every_step(empty, tmp_path):
     method = tmp_path / "scripted.py"
     method.write_text(METHOD.replace("FILE", repr(str(file))))
     at = ("--store", empty.path)
+    first = write(tmp_path / "first.jsonl", lines[:1])
+    assert "imported 1 question;" in done("import-questions", first, *at)[1]
     assert "imported 20 questions" in done("import-questions", file, *at)[1]
     assert "no answer was derived again" in done("validate", *at)[1]
     for name in ("r", "r2"):

@@ -327,6 +327,13 @@ def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
         assert (row["n"], row["error"]) == (4, 0)
 
 
+def test_a_run_that_stops_in_its_preflight_has_asked_no_question(store):
+    with FakeServer(lambda request, n: Status(401, "no key")) as server:
+        result = evaluate(store, "--model", "fake", "--base-url", server.url, "--retries", "0", ok=False)
+    assert isinstance(result.exception, RunStoppedError)
+    assert "react-fake: no question was asked; go on" in result.stderr and "0 of 0" not in result.stderr
+
+
 def test_a_run_that_is_interrupted_or_killed_is_scored_as_partial(store):
     """Ctrl-C writes what is finished. A killed run has its journal alone, and `score` writes its tables."""
     write_answers(store)
