@@ -129,6 +129,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
     from jrdb_avr.engine.report.scored_runs import read_index
     from jrdb_avr.engine.report.tables import PAPER_TABLES, TOO_FEW, tables_of
+    from jrdb_avr.engine.validate.references import read_references
     from jrdb_avr.schema.errors import did_you_mean
 
     tables += tuple(PAPER_TABLES) if paper else ()
@@ -141,6 +142,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*known, 'all'))}")
     with warnings_as_notes():
         result = comparison.report(store, options["runs"], iou=iou, backbone=options["backbone"])
+        result.index.references = read_references(store)
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page
@@ -207,6 +209,8 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     # The id of a run already names its method and model.
     left_out = {"iou", "interval", "method", "model", *empty}
     plain = [{k: v for k, v in row.items() if _MACRO not in k and k not in left_out} for row in cells]
+    if name == "main" and not rows[-1]["method"]:
+        plain.insert(sum(bool(row["method"]) for row in rows), {})
     print_rows(filled(plain), title=title)
     if name == "main":
         macro = [{k.replace(_MACRO, " over "): v for k, v in row.items() if k == "run" or _MACRO in k} for row in cells]

@@ -29,9 +29,12 @@ def command(store: Store, answers: bool, images: Path | None, port: int, iou: fl
     from jrdb_avr.engine.pages.view import Viewer
     from jrdb_avr.engine.report.comparison import report
     from jrdb_avr.engine.run.bench import find_images
+    from jrdb_avr.engine.validate.references import read_references
 
     with warnings_as_notes():
         comparison = report(store, iou=iou) if answers else None
+        if comparison:
+            comparison.index.references = read_references(store)
         viewer = Viewer(store, find_images(store, images), comparison)
     with LocalServer(viewer.respond, port) as server:
         click.echo(server.url)

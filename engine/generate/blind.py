@@ -12,7 +12,7 @@ The forms of a template are checked separately, because their texts differ.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -134,8 +134,27 @@ Guesser = Callable[[Sequence[QuestionText]], Mapping[str, Chances]]
 """Function from the questions of one form to the scores of those guessers that apply, by their names."""
 
 
-def blind_check(questions: Iterable[QuestionText], guessers: Sequence[Guesser]) -> list[dict[str, Any]]:
+def score_forms(
+    questions: Iterable[QuestionText], guessers: Sequence[Guesser]
+) -> Iterator[tuple[list[QuestionText], dict[str, Chances]]]:
     """Score blind guessers on each form of a template.
+
+    Args:
+        questions: The questions.
+        guessers: Guessers beside the simple ones.
+
+    Yields:
+        The questions of a form, with the scores of each guesser that applies, by its name.
+    """
+    groups: dict[tuple[str, str], list[QuestionText]] = defaultdict(list)
+    for question in questions:
+        groups[question.form.name, question.form.query].append(question)
+    for _, group in sorted(groups.items()):
+        yield group, {name: of for guesser in (_simple, *guessers) for name, of in guesser(group).items()}
+
+
+def blind_check(questions: Iterable[QuestionText], guessers: Sequence[Guesser]) -> list[dict[str, Any]]:
+    """Compute the table of blind guessers, by the forms of templates.
 
     Args:
         questions: The questions.
@@ -148,13 +167,9 @@ def blind_check(questions: Iterable[QuestionText], guessers: Sequence[Guesser]) 
         the best guesser of boxes both have right. Counts of people have no aim. If a form has time twins, a second row,
         "FORM, two twins", has their number of pairs as n and the shares of pairs with both right.
     """
-    groups: dict[tuple[str, str], list[QuestionText]] = defaultdict(list)
-    for question in questions:
-        groups[question.form.name, question.form.query].append(question)
     rows = []
-    for (template, form), group in sorted(groups.items()):
-        scores = {name: of for guesser in (_simple, *guessers) for name, of in guesser(group).items()}
-        head = {"template": template, "form": form, "asks": group[0].asks}
+    for group, scores in score_forms(questions, guessers):
+        head = {"template": group[0].form.name, "form": group[0].form.query, "asks": group[0].asks}
         aim = None if group[0].asks == "count" else MODES[group[0].form.spec.mode].aim
         rows.append(head | _shares(scores, aim))
         numbers = [index for index, question in sorted(enumerate(group), key=lambda entry: entry[1].twin or "")]

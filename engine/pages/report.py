@@ -38,13 +38,19 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None,
     runs = comparison.runs
     tables = {name: without_rough(rows) for name, rows in comparison.tables().items()}
     names = [run.manifest.run_id for run in runs]
+    guessers = [row for row in tables["main"] if not row["method"]]
+    tables["main"] = [row for row in tables["main"] if row["method"]]
+    across = [*names, *(row["run"] for row in guessers)]
     families = pivot(tables["family"], "family", "run")
     return render(
         "report.html",
         names=names,
         comparison=comparison,
+        guessers=guessers,
         tables=tables,
-        paper={paper_caption(name, tables[name]): for_paper(name, tables[name]) for name in PAPER_TABLES if paper},
+        paper={
+            paper_caption(name, tables[name]): filled(for_paper(name, tables[name])) for name in PAPER_TABLES if paper
+        },
         dots=scatter(tables["main"]),
         families=families,
         about={run.manifest.run_id: {"method": run.manifest.method, "model": run.manifest.model} for run in runs},
@@ -56,14 +62,14 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None,
         square=SQUARE,
         links=links,
         store=comparison.store.path.name,
-        breakdowns=[(name, Crossed(tables[name], name, names)) for name in comparison.index.labels],
+        breakdowns=[(name, Crossed(tables[name], name, across)) for name in comparison.index.labels],
         ablation=filled(tables["ablation"]),
         causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),
         titles=_TITLES,
         curves=budget_curves(tables["looks"]),
         without_bounds=with_intervals,
         apart=distinguishing_settings(runs),
-        labels={row["run"]: row["label"] for row in (*tables["main"], *tables["twins"])},
+        labels={row["run"]: row["label"] for row in (*tables["main"], *guessers, *tables["twins"])},
         too_few=TOO_FEW,
         least=LEAST_CLUSTERS,
         kinds=SCORES,
@@ -101,14 +107,14 @@ class Crossed:
         values_across: True if the columns are the values, False if the columns are the runs.
         across: Names of the columns.
         rows: Name and cells of each row of this table. The cell of a run and a value is the row of `breakdown_rows`
-            for this pair, or None if this pair has no row.
+            for this pair, or None if this pair has no row. Guessers are among the runs.
     """
 
     def __init__(self, rows: Sequence[Line], dimension: str, runs: Sequence[str]) -> None:
         """Arrange rows of `breakdown_rows`."""
         cells = pivot(rows, dimension, "run")
         questions = {
-            value: Counter(r["n"] for run, r in rows_of_value.items() if run in runs)
+            value: Counter(row["n"] for row in rows_of_value.values() if row["method"])
             for value, rows_of_value in cells.items()
         }
         self.counts = {value: times.most_common(1)[0][0] for value, times in questions.items() if times}

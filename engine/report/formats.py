@@ -75,12 +75,12 @@ def other_counts(rows: Rows) -> set[int]:
     """Find the values in the column `n` that differ from the most frequent value in this column.
 
     Args:
-        rows: Rows of a table. Rows without a run are ignored.
+        rows: Rows of a table. Rows without a run, and rows of guessers, are ignored.
 
     Returns:
         The values that differ. If at least one run has several rows, the set is empty.
     """
-    of_runs = [row for row in rows if row.get("run")]
+    of_runs = [row for row in rows if row.get("run") and row.get("method") != ""]
     if len({row["run"] for row in of_runs}) < len(of_runs):
         return set()
     counts = [row["n"] for row in of_runs if "n" in row]
@@ -104,7 +104,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
         for row, source in zip(printed, rows, strict=True):
             if source.get("run", "") is None:
                 row |= {column: "" for column in row if source.get(column) is None}
-            elif source["label"]:
+            elif "synthetic" in source["label"]:
                 # A synthetic figure must not be mistaken for a result beside the paper's.
                 row |= {column: f"{row[column]} synthetic" for column in ("n", *SHARES) if column in row}
         hidden = ["label", *(["setting"] if not any(row.get("setting") for row in printed) else [])]
@@ -113,14 +113,14 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
         return printed
     models = [row["model"] for row in printed]
     printed = sorted(printed, key=lambda row: models.index(row["model"]))
+    printed = [row | {"method": row["method"] or row["run"]} for row in printed]
     names = [(row["model"], row["method"], row.get("setting", "")) for row in printed]
     settings = ["setting"] if any(row.get("setting") for row in printed) else []
     # If rows are equal in these columns, the run id tells them apart.
     ids = ["run"] if len(set(names)) < len(names) else []
     few = ["interval"] if any("interval" in row for row in printed) else []
     columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
-    texts = ("setting", "interval")
-    return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in printed]
+    return [{key: row.get(key, "") for key in columns} for row in printed]
 
 
 def paper_caption(name: str, rows: Rows) -> str:
@@ -135,7 +135,11 @@ def paper_caption(name: str, rows: Rows) -> str:
     """
     if name not in PAPER_TABLES:
         return ""
-    synthetic = "; the figures of this store are synthetic" if any(row.get("label") for row in rows) else ""
+    synthetic = (
+        "; the figures of this store are synthetic"
+        if any("synthetic" in (row.get("label") or "") for row in rows)
+        else ""
+    )
     return f"{PAPER_TABLES[name]}, beside this store [95 % interval] and the difference{synthetic}"
 
 
@@ -214,7 +218,7 @@ def _tabulated(rows: Rows, cells: Sequence[Any], heads: Sequence[str], form: str
 
 def _lines_of(rows: Rows) -> list[list[str]]:
     columns = list_columns(rows)
-    return [[_in_one_line(cell(row.get(name), name)) for name in columns] for row in rows]
+    return [[_in_one_line(cell(row.get(name, ""), name)) for name in columns] for row in rows]
 
 
 def _in_one_line(text: str) -> str:

@@ -21,6 +21,7 @@ from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
 from jrdb_avr.schema.method import DIAGNOSTIC
+from jrdb_avr.schema.references import Reference
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 
@@ -57,6 +58,7 @@ class QuestionIndex:
         ids: Their ids.
         labels: Their labels for each dimension.
         twins: For each question, the key that it shares with its time twin. None without a twin.
+        references: Guessers that tables of scores have below the runs.
     """
 
     def __init__(self, questions: pa.Table, answers: pa.Table, others: Sequence[str] | None = None) -> None:
@@ -74,6 +76,7 @@ class QuestionIndex:
         values |= {name: matching[name].to_pylist() for name in others or ()}
         self.labels = {name: _labels(values[name]) for name in (DIMENSIONS if others is None else values)}
         self.twins: list[str | None] = matching["twin_id"].to_pylist()
+        self.references: Sequence[Reference] = ()
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from jrdb_avr.engine.report.paper import ABLATION, ALIASES, BY_GROUP, GROUPS, MAIN, QUOTAS, Published, backbone_of
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, distinguishing_settings
-from jrdb_avr.engine.report.tables import CELLS, SHARES, Line, run_names, score_columns
+from jrdb_avr.engine.report.tables import CELLS, SHARES, Line, reference_rows, run_names, score_columns
 from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, did_you_mean
 
@@ -37,7 +37,7 @@ def paper_rows(table: str, index: QuestionIndex, runs: Sequence[ScoredRun], back
     Returns:
         One row per row of the paper, or one per run if several runs match it. `paper_NAME` is the paper's figure,
         `NAME` this store's figure with its interval (None without a run), and `NAME_difference` is the second minus the
-        first.
+        first. Then the rows of `reference_rows` over the questions of the matched runs, by group in a table by group.
 
     Raises:
         InputError: If the paper has no model `backbone`, or if the runs that no alias matches have several models.
@@ -45,15 +45,18 @@ def paper_rows(table: str, index: QuestionIndex, runs: Sequence[ScoredRun], back
     matched, settings = _match(runs, backbone), distinguishing_settings(runs)
     if table == "paper_generators":
         return _generator_rows(index)
-    groups, rows = index.labels["group"], []
+    names, numbers = index.labels["group"]
+    groups, rows, shown = np.array(names)[numbers], [], []
     for head, published in _ENTRIES[table]:
-        beside = []
+        beside, among = [], groups == head.get("group", groups)
         for run in matched[published.model]:
-            of_group = [head.get("group") in (None, groups.names[code]) for code in groups.numbers[run.rows].tolist()]
-            if run.manifest.method == published.method and any(of_group):
+            if run.manifest.method == published.method and among[run.rows].any():
+                shown.append(run)
                 ours = run_names(run) | {"setting": settings[run.manifest.run_id]}
-                beside.append(_row(head, published, ours | score_columns(index, run, np.array(of_group))))
+                beside.append(_row(head, published, ours | score_columns(index, run, among[run.rows])))
         rows += beside or [_row(head, published, {})]
+    for part in [{"group": name} for name in names] if table == "paper_groups" else [{}]:
+        rows += [part | row for row in reference_rows(index, shown, groups == part.get("group", groups))]
     return rows
 
 

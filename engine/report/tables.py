@@ -11,6 +11,7 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 
 from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS, Interval, compare, intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.scored_runs import (
@@ -50,10 +51,27 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
 
     Returns:
         One row per run: the scores with 95 % intervals (bootstrap over sequences), and macro averages of the scores
-        over the families and over the paper's groups.
+        over the families and over the paper's groups. Then the rows of `reference_rows`.
     """
     settings = distinguishing_settings(runs)
-    return [_main_row(index, run, iou, settings[run.manifest.run_id]) for run in runs]
+    rows = [_main_row(index, run, iou, settings[run.manifest.run_id]) for run in runs]
+    return rows + reference_rows(index, runs)
+
+
+def reference_rows(index: QuestionIndex, runs: Sequence[ScoredRun], among: Bools | bool = True) -> list[Line]:
+    """Average the scores of the references over the questions that at least one run has.
+
+    Args:
+        index: The questions of the store, with their references.
+        runs: Scored runs.
+        among: Mask of the questions of `index` to average over. By default, all of them.
+
+    Returns:
+        One row per reference (`Reference.row`). The list is empty without questions.
+    """
+    asked = np.isin(np.arange(len(index.ids)), np.concatenate([np.empty(0, int), *(run.rows for run in runs)]))
+    ids = index.ids.filter(pa.array(asked & among)).to_pylist()
+    return [reference.row(ids) for reference in index.references if ids]
 
 
 def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Line:
@@ -147,11 +165,8 @@ def with_bounds(name: str, interval: Interval) -> Line:
     Returns:
         The share and the bounds of its interval. The columns of the bounds are `NAME_low` and `NAME_high`.
     """
-    return {
-        name: _percent(interval.value),
-        f"{name}_low": _percent(interval.low),
-        f"{name}_high": _percent(interval.high),
-    }
+    shares = zip(("", "_low", "_high"), (interval.value, interval.low, interval.high), strict=True)
+    return {f"{name}{end}": _percent(share) for end, share in shares}
 
 
 # -- breakdowns -------------------------------------------------------------------------------------------------------
@@ -166,15 +181,17 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         dimension: A name of `index.labels`.
 
     Returns:
-        For each value, one row per run that has questions with this value.
+        For each value, one row per run that has questions with this value, then the rows of `reference_rows`.
     """
     labels = index.labels[dimension]
     sums = [numbered_sums(labels.numbers[run.rows], len(labels.names), run.counts) for run in runs]
     return [
-        {dimension: name, **run_names(run), **_shares(sums_of_run[value])}
+        {dimension: name, **row}
         for value, name in enumerate(labels.names)
-        for run, sums_of_run in zip(runs, sums, strict=True)
-        if sums_of_run[value][0]
+        for row in (
+            *(run_names(run) | _shares(of[value]) for run, of in zip(runs, sums, strict=True) if of[value][0]),
+            *reference_rows(index, runs, labels.numbers == value),
+        )
     ]
 
 
@@ -194,15 +211,9 @@ def score_row(run: ScoredRun, iou: float) -> Line:
 
 def _shares(counts: Ints | Floats) -> Line:
     """Return the scores of questions in percent. `counts` has the sums of the columns of `ScoredRun.counts`."""
-    n, answer, evidence, combined, invalid = counts.astype(np.int64).tolist()
-    return {
-        "n": n,
-        "answer": percent_of(answer, n),
-        "evidence": percent_of(evidence, n),
-        "combined": percent_of(combined, n),
-        "hallucination": percent_of(answer - combined, answer),
-        "invalid": percent_of(invalid, n),
-    }
+    n, *right, invalid = counts.astype(np.int64).tolist()
+    row = {"n": n} | {name: percent_of(count, n) for name, count in zip(SCORES, right, strict=True)}
+    return row | {"hallucination": percent_of(right[0] - right[2], right[0]), "invalid": percent_of(invalid, n)}
 
 
 # -- the ablation -----------------------------------------------------------------------------------------------------
