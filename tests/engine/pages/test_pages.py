@@ -677,7 +677,7 @@ def test_numbers_of_dots_cover_neither_each_other_nor_a_dot(spread):
 
 def test_a_breakdown_says_how_many_were_asked():
     def row(run, value, n):
-        return {"family": value, "run": run, "label": "", "n": n}
+        return {"family": value, "run": run, "method": "react", "label": "", "n": n}
 
     rows = [row("r", "a", 8), row("s", "a", 8), row("t", "a", 1), row("r", "b", 3)]
     table = Crossed(rows, "family", ["r", "s", "t"])
