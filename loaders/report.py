@@ -38,7 +38,7 @@ class Heading(msgspec.Struct):
     The angle is near 0 if the convention holds, and near 180 if the file has the opposite convention."""
 
 
-class FrameRange(msgspec.Struct):
+class FrameRange(msgspec.Struct, omit_defaults=True):
     """Range of the frames that have labels, or of the frames that have images.
 
     Frames inside the range may be missing.
