@@ -76,7 +76,7 @@ def odd_values(layer: str, path: str | Path) -> list[str]:
         frames = list(decode_file(Path(path), _Frames).labels.values()) if layer in _VALUES else []
         for frame in frames[:: len(frames) // 20 + 1]:
             kind.add(msgspec.json.decode(frame))
-    for key, usual in _VALUES.get(layer, {}).items() if kind.keys else ():
+    for key, usual in _VALUES.get(layer, {}).items() if "[]" in kind.keys else ():
         parts = [kind.keys["[]"]]
         for name in key.split("."):
             parts = [child for part in parts for n, child in part.keys.items() if name in (n, "*")]

@@ -1,6 +1,10 @@
 """`load` says per layer what is found, what is complete, and what is unlike every known release."""
 
-from jrdb_avr.loaders.releases import PUBLIC, compare_releases
+import json
+
+import pytest
+
+from jrdb_avr.loaders.releases import PUBLIC, compare_releases, odd_values
 from jrdb_avr.loaders.report import FrameRange, Heading, SequenceReport
 
 OCCLUSIONS = {"Fully_visible": 292, "Mostly_visible": 145, "Severely_occluded": 312, "Fully_occluded": 251}
@@ -68,3 +72,10 @@ def test_sums_of_a_whole_split_are_compared():
     assert [row["unlike"] for row in compare_releases(few) if row["layer"] == "interactions"] == [
         "fewer records than 1,452,876"
     ]
+
+
+@pytest.mark.parametrize("frame", [{}, {"label_id": "pedestrian:1"}, 3, None, "x", [], [3], [[]]])
+def test_a_file_of_any_shape_is_compared(tmp_path, frame):
+    (tmp_path / "a.json").write_text(json.dumps({"labels": {"000000.jpg": frame}}))
+    for layer in ("2d", "3d", "social", "toys"):
+        assert all(line.startswith("no ") for line in odd_values(layer, tmp_path / "a.json"))
