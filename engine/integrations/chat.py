@@ -56,7 +56,8 @@ def export_chat(store: Store, run_id: str, folder: Path) -> int:
         warn(f"{store.path} holds a benchmark, which must not be trained on (see 'generate --profile train')")
     bench = Bench(store, opaque="opaque" in manifest.settings)
     names = "|".join(map(re.escape, bench.sequences))
-    picture = re.compile(rf"\n?^\[image ({names}) ([0-9]{{6}}) (panorama|[0-9.e+-]+)\]$\n?", re.MULTILINE)
+    angle = r"panorama|-?[0-9]+(?:\.[0-9]+)?(?:e[+-]?[0-9]+)?"
+    picture = re.compile(rf"\n?^\[image ({names}) ([0-9]{{6}}) ({angle})\]$\n?", re.MULTILINE)
     lines = []
     with new_folder(folder) as made:
         (made / "pictures").mkdir()

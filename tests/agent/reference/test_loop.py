@@ -1,6 +1,8 @@
 """The loop of the reference agent, played by scripted models: writes, looks, refusals, limits, and the end."""
 
+import itertools
 import json
+import re
 
 import pytest
 from environment import SNAPSHOTS
@@ -37,6 +39,7 @@ from jrdb_avr.agent.look.answer import guess_choice
 from jrdb_avr.agent.reference.loop import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.panorama import FOV_DEG, angle_error
 
 SEEN = [PLAN, turn(look()), writes(WOMAN, MAN)]
 
@@ -379,3 +382,28 @@ def test_settings_name_every_limit():
     assert [told["agent"].get(name) for name in names] == [24, 50, 4, 32, 3, None, True]
     assert [told["agent-passive-no-world"].get(name) for name in names] == [None, 50, 4, 32, None, 8, None]
     json.dumps(told)
+
+
+@pytest.mark.parametrize("gender", ["female", "cannot tell"])
+def test_a_turn_searches_a_frame_with_up_to_three_looks(world, gender):
+    def write_nobody(text):
+        names = re.findall(r"observation (o\d+)", text.rpartition("Results:")[2])
+        return turn(*(people(observation=name) for name in names), ADVISED)
+
+    later = PLAN | {"times": {"t0": {"frame": 150}, "t1": {"frame": 240}}, "answer": PLAN["answer"] | {"at": "t1"}}
+    woman = person("p1", gender=gender, pose="standing")
+    game = play([later, turn(look()), writes(woman, then=(ADVISED,)), write_nobody], world=world)
+    turns = [
+        [json.loads(step.request) for step in steps]
+        for kind, steps in itertools.groupby(game.steps, key=lambda step: step.kind)
+        if kind == "observe"
+    ]
+    frames = [[made["frame_index"] for made in looks] for looks in turns]
+    assert all(len(set(at)) == 1 and len(at) <= 3 for at in frames)
+    # The first look at the frame of the answer is alone, because it usually shows the person.
+    assert frames[0] == [150] and len(frames[1]) > 1
+    assert [at for at in frames if at[0] == 240][:2] == [[240], [240] * 3]
+    # No turn shows one place twice.
+    for looks in turns:
+        for first, second in itertools.combinations(looks, 2):
+            assert angle_error(first["angle_deg"], second["angle_deg"]) >= FOV_DEG / 2
