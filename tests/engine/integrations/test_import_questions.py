@@ -13,6 +13,7 @@ from jrdb_avr.engine.local_server import Request
 from jrdb_avr.engine.pages.view import Viewer, address
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.truth import is_imported
+from jrdb_avr.engine.validate.references import read_references
 from jrdb_avr.queries.opaque import stored_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import QUESTIONS
@@ -106,6 +107,7 @@ def test_questions_of_another_program_go_through_every_step(empty, tmp_path):
     assert {row["family"] for row in by if row["table"] == "family"} == {"lab 0", "lab 1", "lab 2"}
     assert [row["votes"] for row in by if row["table"] == "votes"] == ["0", "1"]
     done("report", *at, "--table", "all")
+    assert read_references(empty) == []
     done("report", *at, "--html", tmp_path / "report.html")
     assert run("report", *at, "--table", "hops")[0] == 2
     done("runs", "diff", "r", "r2", *at)
