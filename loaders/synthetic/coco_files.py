@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from jrdb_avr.loaders.synthetic.box_files import _Record
-from jrdb_avr.loaders.synthetic.figures import AWAY
 from jrdb_avr.loaders.synthetic.pictures import Painter
-from jrdb_avr.loaders.synthetic.skeleton import JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
+from jrdb_avr.loaders.synthetic.skeleton import AWAY, JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
 from jrdb_avr.loaders.synthetic.world import World, spans
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.labels import SKELETON

@@ -37,6 +37,21 @@ _AHEAD: Final = {"pushing": 0.85, "pulling": -0.85}
 _IN_THE_WORLD: Final = {"looking at sth": "looking at", "pointing at sth": "presenting"}
 _LOOKED_AT: Final = ("board", "poster", "television", "statues", "standee")
 _DECOR: Final = ("table", "trash_bin", "chair/sofa", "shelf", "pole/trafficcone")
+SIZES: Final = {
+    "table": (1.5, 0.72),
+    "board": (1.4, 1.7),
+    "poster": (0.8, 1.6),
+    "television": (1.1, 1.5),
+    "statues": (0.6, 1.7),
+    "standee": (0.6, 1.6),
+    "door": (0.9, 2.0),
+    "trolley": (0.7, 0.42),
+    "trash_bin": (0.45, 0.8),
+    "chair/sofa": (0.5, 0.85),
+    "shelf": (1.0, 1.5),
+    "pole/trafficcone": (0.35, 0.7),
+}
+"""Width and height of standing things by category, in metres."""
 _RIDDEN: Final = {
     "sitting": ("chair/sofa", "sitting"),
     "cycling": ("bicycle/scooter", "riding"),

@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from jrdb_avr.loaders.synthetic.interactions import interactions_of
 from jrdb_avr.loaders.synthetic.motion import Motion, to_robot
-from jrdb_avr.loaders.synthetic.objects import Things
+from jrdb_avr.loaders.synthetic.objects import SIZES, Things
 from jrdb_avr.loaders.synthetic.script import Rng, Script
-from jrdb_avr.loaders.synthetic.shapes import DRAWINGS
 from jrdb_avr.loaders.synthetic.skeleton import JOINTS, joints
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import POSES
@@ -111,7 +110,7 @@ class World:
     def _thing_boxes(self) -> tuple[Ints, Floats]:
         """Compute boxes and distances of standing things, by column of `things.stands`."""
         things = self.things
-        sizes = np.array([DRAWINGS.standing[things.things[k].category][:2] for k in things.stands]).reshape(-1, 2)
+        sizes = np.array([SIZES[things.things[k].category] for k in things.stands]).reshape(-1, 2)
         x, y = to_robot(self.motion.robot[:, None, :], things.x, things.y)
         distance = np.maximum(np.hypot(x, y), 0.8)
         rows = body_rows(np.zeros_like(distance), distance, sizes[:, 1])

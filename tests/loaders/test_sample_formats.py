@@ -65,6 +65,28 @@ def test_panoptic_files_name_frames_and_categories(root):
     assert len(tracked) == 4
 
 
+def test_people_are_drawn_in_their_boxes_and_fill_them(root):
+    checked = 0
+    for name, content in files(root, "labels_2d_panoptic_stitched_CW").items():
+        (pedestrian,) = (one["id"] for one in content["categories"] if one["name"].lower().endswith("pedestrian"))
+        labels = json.loads((root / "labels" / "labels_2d_stitched" / f"{name}.json").read_text())["labels"]
+        for one in content["annotations"]:
+            tracks = [*one.get("attributes", {}).values(), one.get("tracking_id")]
+            records = labels[f"{(one['image_id'] - 1) * 15:06d}.jpg"]
+            for record in records if one["category_id"] == pedestrian else ():
+                (x, y, w, h), (left, top, width, height) = one["bbox"], record["box"]
+                if record["label_id"] != f"pedestrian:{tracks[0]}" or left < 0 or left + width > 3760:
+                    continue
+                # Lines are wider than the joints at the edge of a box.
+                slack = 2 + height // 10
+                assert left - slack <= x and x + w <= left + width + slack
+                assert top - slack <= y and y + h <= top + height + slack
+                if record["attributes"].get("occlusion") == "Fully_visible" and "lying" not in record["action_label"]:
+                    assert h > 0.8 * height
+                    checked += 1
+    assert checked > 50
+
+
 CODES = {"1", "2", "3"}
 
 
