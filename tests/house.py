@@ -16,7 +16,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 BUDGETS = {
     "schema": 2800,
-    "loaders": 5060,
+    "loaders": 4900,
     "queries": 2400,
     "engine/generate": 2300,
     "engine/rederive": 1200,
