@@ -123,17 +123,21 @@ def renamed_folders(root: Path, chosen: Collection[Path]) -> list[str]:
         chosen: Folders that the user gave for layers.
 
     Returns:
-        A line per folder with the option of `load` that loads it.
+        A line per folder with the option of `load` that loads it, or with what it lacks.
     """
     known = [pattern for patterns in LABEL_DIRS.values() for pattern in patterns]
     lines = []
-    for folder in sorted({*root.glob("labels/*/"), *root.glob("*/")} - set(chosen)):
+    for folder in sorted({*root.glob("*/"), *root.glob("*/*/"), *root.glob("labels/*/*/")} - set(chosen)):
         name = folder.relative_to(root).as_posix()
-        files = [file for file in sorted(folder.glob("*.json")) if not _ONE_CAMERA.fullmatch(file.stem)]
+        files = sorted(folder.glob("*.json"))
         if not files or "head" in folder.name or any(fnmatch.fnmatch(folder.name, pattern) for pattern in known):
             continue
-        with contextlib.suppress(OSError), files[0].open("rb") as file:
+        stitched = [file for file in files if not _ONE_CAMERA.fullmatch(file.stem)]
+        with contextlib.suppress(OSError), (stitched or files)[0].open("rb") as file:
             start = file.read(1 << 16)
-            if layer := next((layer for layer, key in _KEYS.items() if key in start), None):
+            layer = next((layer for layer, key in _KEYS.items() if key in start), None)
+            if layer and stitched:
                 lines.append(f"{name} looks like the layer {layer}: to load it, add --layer-dir {layer}={name}")
+            elif layer == "2d" and not {*root.glob("labels_2d_stitched"), *root.glob("labels/labels_2d_stitched")}:
+                lines.append(f"{name} has files of single cameras only: add the folder labels_2d_stitched")
     return lines

@@ -203,7 +203,7 @@ def load_shard(found: SequenceFiles, staging: str, rules: LoadRules) -> ShardRes
             steps={layer: step_of(read.frames[layer][0]) for layer in entry.layers if layer not in NOT_LABELS},
             ranges={layer: part for layer in entry.layers if (part := ranges[layer])},
             occlusions={part["values"] or "": part["counts"] for part in occlusions.to_pylist()},
-            odd_values={layer: odd_values(layer, path) for layer, path in found.labels.items()},
+            odd_values={layer: list(odd_values(layer, path)) for layer, path in found.labels.items()},
             files=files,
             frames=intervals["frames"].num_rows,
             people=intervals["persons"].num_rows,

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from jrdb_avr.loaders.fingerprint import Kind
-from jrdb_avr.loaders.labelfiles.frames import decode_file
+from jrdb_avr.loaders.labelfiles.frames import MAX_FRAME, LabelFile, decode_file
 from jrdb_avr.loaders.report import MAX_TURN_DEG, SequenceReport
 from jrdb_avr.loaders.root import LABEL_DIRS
 from jrdb_avr.schema.errors import InputError
@@ -54,38 +54,33 @@ _VALUES: Final = {
     | {"group_info.[].venue.*": "str"},
 }
 """Usual types of values, by key. A star is any key."""
-_FILES: Final = {"demographics": "social"}
 
 
-class _Frames(msgspec.Struct):
-    labels: dict[str, msgspec.Raw]
-
-
-def odd_values(layer: str, path: str | Path) -> list[str]:
+def odd_values(layer: str, path: str | Path) -> Iterator[str]:
     """Compare keys and types of a label file with the releases, in about 20 frames.
 
     Args:
         layer: Layer of the file.
         path: Label file.
 
-    Returns:
+    Yields:
         A line per missing key, and per key with values mostly of another type. No line for an unreadable file.
     """
-    kind, lines = Kind(), list[str]()
+    kind = Kind()
     with contextlib.suppress(InputError, msgspec.DecodeError, RecursionError):
-        frames = list(decode_file(Path(path), _Frames).labels.values()) if layer in _VALUES else []
-        for frame in frames[:: len(frames) // 20 + 1]:
-            kind.add(msgspec.json.decode(frame))
+        frames = decode_file(Path(path), LabelFile, lambda form, key: form(key)).labels if layer in _VALUES else {}
+        for frame in list(frames.values())[:: len(frames) // 20 + 1]:
+            if memoryview(frame).nbytes <= MAX_FRAME:
+                kind.add(msgspec.json.decode(frame))
     for key, usual in _VALUES.get(layer, {}).items() if "[]" in kind.keys else ():
         parts = [kind.keys["[]"]]
         for name in key.split("."):
             parts = [child for part in parts for n, child in part.keys.items() if name in (n, "*")]
         types, shown = sum((part.types for part in parts), Counter[str]()), key.partition(".[]")[0].removesuffix(".*")
         if not types:
-            lines.append(f"no {shown}")
+            yield f"no {shown}"
         elif types.most_common(1)[0][0] not in usual.split():
-            lines.append(f"{types.most_common(1)[0][0]} in {shown}")
-    return lines
+            yield f"{types.most_common(1)[0][0]} in {shown}"
 
 
 def compare_releases(reports: Sequence[SequenceReport]) -> list[dict[str, Any]]:
@@ -132,7 +127,8 @@ def _release(report: SequenceReport, layer: str) -> str:
 
 def _differences(report: SequenceReport, layer: str) -> Iterator[str]:
     """Yield what no release has in a sequence."""
-    frames, step, file = report.ranges[layer], report.steps.get(layer, 1), _FILES.get(layer, layer)
+    frames, step = report.ranges[layer], report.steps.get(layer, 1)
+    file = "social" if layer == "demographics" else layer
     folder = report.files.get(file, "").partition("/")[0]
     if file in LABEL_DIRS and not any(fnmatch.fnmatch(folder, name) for names in LABEL_DIRS.values() for name in names):
         yield f"folder {folder}"
@@ -142,7 +138,7 @@ def _differences(report: SequenceReport, layer: str) -> Iterator[str]:
         yield "reversed headings"
     if layer in ("2d", "3d", "pose", "panoptic") and step != (KEYFRAME_STEP if layer == "panoptic" else 1):
         yield "keyframes only" if step > 1 else "more than keyframes"
-    if layer in ("2d", "images") and (frames.last - frames.first) // step + 1 > frames.count:
+    if layer == "2d" and (frames.last - frames.first) // step + 1 > frames.count:
         yield "missing frames"
     if report.sequence not in PUBLIC:
         yield "another sequence"

@@ -11,12 +11,17 @@ from jrdb_avr.loaders.fingerprint import fingerprint
 from jrdb_avr.loaders.synthetic.write import plan, write
 
 BOXES = "labels/labels_2d_stitched"
+SOCIAL = "labels/labels_2d_activity_social_stitched"
+REASONING = "labels/labels_2d_stitched_new_version"
 
 
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sample")
-    list(write(plan(folder / "root", [(60, 4)], 3, "keyframes"), 1))
+    list(write(plan(folder / "root", [(120, 14)], 3, "keyframes"), 1))
+    # With the name of a sequence of JRDB, so that load compares it.
+    for path in sorted((folder / "root").rglob("sample-plaza-01_0*")):
+        path.rename(path.with_name(path.name.replace("sample-plaza-01_0", "meyer-green-2019-03-16_0")))
     return folder / "root"
 
 
@@ -54,36 +59,86 @@ def test_no_value_of_an_annotation_is_in_a_fingerprint(root, tmp_path):
     assert keys["attributes"]["occlusion"]["names"] and "pedestrian:0000" in keys["label_id"]["names"]
 
 
-def shifted(root):
+def relabel(root, folder, name_of):
+    for path in (root / folder).glob("*.json"):
+        labels = json.loads(path.read_text())["labels"]
+        path.write_text(json.dumps({"labels": {name_of(int(name[:6])): part for name, part in labels.items()}}))
+
+
+def without_frames(root):
     for path in (root / BOXES).glob("*.json"):
         labels = json.loads(path.read_text())["labels"]
-        moved = {f"{int(name[:6]) + 2:06}.jpg": objects for name, objects in labels.items()}
-        path.write_text(json.dumps({"labels": moved}))
+        path.write_text(json.dumps({"labels": {n: part for n, part in labels.items() if not 20 < int(n[:6]) < 30}}))
+
+
+def turn(record):
+    record["box"]["rot_z"] += 3.14159
+
+
+def into_corners(record):
+    x, y, w, h = record["box"]
+    record["box"] = [x, y, x + w, y + h]
+
+
+def boxes(alter):
+    return lambda root: [change(root, folder, alter) for folder in (BOXES, SOCIAL, REASONING)]
 
 
 ALTERED = {
-    "2019 numbering": shifted,
-    "no attributes": lambda root: change(root, BOXES, lambda record: record.pop("attributes")),
-    "floats for ints": lambda root: change(
-        root, BOXES, lambda record: record.update(box=[x + 0.5 for x in record["box"]])
+    "2019 numbering": (lambda root: relabel(root, BOXES, lambda frame: f"{frame + 2:06}.jpg"), "train (2019)"),
+    "reversed heading": (lambda root: change(root, "labels/labels_3d", turn), "reversed headings"),
+    "no attributes": (boxes(lambda record: record.pop("attributes")), "no attributes.occlusion"),
+    "renamed folder": (lambda root: (root / BOXES).rename(root / "labels/boxes"), "boxes looks like the layer 2d"),
+    "one camera": (lambda root: one_camera(root), "files of single cameras only"),
+    "floats for ints": (
+        boxes(lambda record: record["social_group"].update(cluster_ID=record["social_group"]["cluster_ID"] + 0.0)),
+        "float in social_group.cluster_ID",
     ),
-    "no actions": lambda root: change(root, BOXES, lambda record: record.pop("action_label", None)),
-    "texts for codes": lambda root: change(
-        root, BOXES, lambda record: record.update(action_label={k: str(v) for k, v in record["action_label"].items()})
+    "missing frames": (without_frames, "missing frames"),
+    "missing layer": (lambda root: shutil.rmtree(root / "labels/labels_3d"), "3d nothing"),
+    "texts for numbers": (
+        boxes(lambda record: record.update(action_label={k: str(v) for k, v in record["action_label"].items()})),
+        "str in action_label",
     ),
-    "truncated as text": lambda root: change(root, BOXES, lambda record: record["attributes"].update(truncated="true")),
-    "another label": lambda root: change(root, BOXES, lambda record: record.update(action_label={"juggling": 1})),
-    "another id": lambda root: change(root, BOXES, lambda record: record.update(label_id="rider:1")),
-    "renamed folder": lambda root: (root / BOXES).rename(root / "labels" / "boxes"),
-    "missing layer": lambda root: shutil.rmtree(root / "labels" / "labels_3d"),
-    "one camera": lambda root: [
-        path.rename(path.with_stem(path.stem + "_image0")) for path in (root / BOXES).glob("*")
-    ],
-    "not JSON": lambda root: next((root / BOXES).glob("*.json")).write_text("{"),
+    "no actions": (boxes(lambda record: record.pop("action_label")), "no action_label"),
+    "another label": (boxes(lambda record: record.update(action_label={"juggling": 1})), "juggling"),
+    "boxes as corners": (boxes(into_corners), "corners"),
+    "swapped levels": (lambda root: swap_levels(root), "labels_2d_stitched/labels looks like the layer 2d"),
+    "no JSON": (lambda root: next((root / BOXES).glob("*")).write_text("{"), "JSON"),
 }
+"""By alteration, the change of a root and what `load` prints about it."""
+
+
+def one_camera(root):
+    for layer in ("labels_2d_activity_social_stitched", "labels_2d_stitched_new_version", "labels_3d"):
+        shutil.rmtree(root / "labels" / layer)
+    (root / BOXES).rename(root / "labels/labels_2d")
+    for path in (root / "labels/labels_2d").glob("*"):
+        path.rename(path.with_stem(path.stem + "_image0"))
+
+
+def swap_levels(root):
+    (root / BOXES).rename(root / "boxes")
+    (root / "labels_2d_stitched").mkdir()
+    (root / "boxes").rename(root / "labels_2d_stitched/labels")
+
+
+def loaded_text(root, store):
+    """Return all that `load` prints, without borders and line breaks."""
+    _, out, err = run("load", root, "--store", store)
+    return re.sub(r"[^\S ]|[│┃]", " ", out + err)
 
 
 @pytest.mark.parametrize("name", ALTERED)
+def test_load_names_how_a_copy_differs(sample, root, tmp_path, name):
+    alter, text = ALTERED[name]
+    plain = " ".join(loaded_text(sample, tmp_path / "plain").split())
+    alter(root)
+    assert text not in plain
+    assert text in " ".join(loaded_text(root, tmp_path / "store").split())
+
+
+@pytest.mark.parametrize("name", sorted(ALTERED.keys() - {"reversed heading", "boxes as corners"}))
 def test_an_altered_copy_has_another_fingerprint(sample, root, name):
     def plain(folder):
         # Sizes differ with any change.
@@ -91,7 +146,7 @@ def test_an_altered_copy_has_another_fingerprint(sample, root, name):
 
     before = plain(sample)
     assert plain(root) == before
-    ALTERED[name](root)
+    ALTERED[name][0](root)
     assert plain(root) != before
 
 
