@@ -19,7 +19,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -53,9 +53,10 @@ from inspect_ai.util import JSONSchema
 
 from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
 from jrdb_avr.agent.model.conventions import convention_of
-from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
+from jrdb_avr.agent.model.messages import Message, Part, picture_of
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.model.schemas import frame_schema
+from jrdb_avr.engine.integrations import tool_calls
 from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.prediction_lines import write_lines
 from jrdb_avr.engine.report.scoring import box_ious, find_questions, find_target_boxes, read_boxes
@@ -70,7 +71,7 @@ from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.errors import AvrError, InputError, RefusedError, StoreError
-from jrdb_avr.schema.method import Observation, Prediction, Question
+from jrdb_avr.schema.method import Prediction, Question
 from jrdb_avr.schema.questions import PROFILE_KEY
 from jrdb_avr.schema.tables import GENERATION_KEY, RUNS
 
@@ -231,15 +232,13 @@ def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
     """Return the tools `observe` and `submit_answer` of an episode, with the schema of the question's answer."""
 
     async def observe(frame_id: Any, angle_deg: Any) -> list[Content]:
-        observation = _move(state, episode, {"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
-        assert observation is not None, "a look that is not refused returns what it shows"
-        left = f"Looks left: {episode.left.looks}, turns left: {episode.left.moves}"
-        text = f"{metadata_line(observation)}\n{left}"
-        return [ContentText(text=text), ContentImage(image=picture_of(observation).uri)]
+        with _move(state, episode):
+            text, seen = tool_calls.observe(episode, frame_id=frame_id, angle_deg=angle_deg)
+        return [ContentText(text=text), ContentImage(image=picture_of(seen).uri)]
 
     async def submit_answer(answer: Any, evidence_bboxes: Any) -> str:
-        _move(state, episode, {"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
-        return "taken"
+        with _move(state, episode):
+            return tool_calls.submit_answer(episode, answer, evidence_bboxes)
 
     look = {"frame_id": frame_schema(episode.frames), "angle_deg": {"type": "number"}}
     answer = episode.answer_schema["properties"]
@@ -254,14 +253,15 @@ def _parameters(properties: Mapping[str, Any]) -> ToolParams:
     return ToolParams.model_validate({"properties": described, "required": list(properties)})
 
 
-def _move(state: TaskState, episode: Episode, move: Mapping[str, Any]) -> Observation | None:
-    """Make a move, and store the prediction so far, because a limit may end the sample at any time.
+@contextlib.contextmanager
+def _move(state: TaskState, episode: Episode) -> Iterator[None]:
+    """Let a move be made, and store the prediction so far, because a limit may end the sample at any time.
 
     Raises:
         ToolError: If the move is refused.
     """
     try:
-        return episode.move(move)
+        yield
     except AvrError as error:
         raise ToolError(f"refused: {error}") from None
     finally:
