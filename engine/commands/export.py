@@ -16,12 +16,17 @@ from jrdb_avr.schema.card import CREATOR, HOME
 @run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, one per line, for 'score --jsonl'.")
 @click.option("--chat", type=FOLDER, help="Write the model calls of RUN as chats with pictures, to train models on.")
+@click.option(
+    "--results", type=FILE, help="Write the scores of RUN for a model's repository on Hugging Face (with --url)."
+)
 @click.option("--public", type=FOLDER, help="Write a public store: questions and panoramas, but no answers.")
 @click.option("--opaque", is_flag=True, help="With --public: replace the names of sequences by hashes.")
 @click.option("--hf", type=FOLDER, help="Write DIRECTORY/public, to publish on Hugging Face, and DIRECTORY/private.")
 @click.option("--graph", type=FOLDER, help="Write the nodes and edges of the graph as Parquet, with schema.json.")
 @click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
-@click.option("--url", default=HOME, show_default=True, help="With --hf: address of the published questions.")
+@click.option(
+    "--url", default=HOME, show_default=True, help="With --hf or --results: address of the published questions."
+)
 def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, **paths: Path | None) -> None:
     """Write questions, predictions or the graph for other machines and tools.
 
@@ -39,12 +44,14 @@ def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, 
       jrdb-avr export --store S --graph folder
       jrdb-avr export --store S react-simulated --jsonl predictions.jsonl
       jrdb-avr export --store S react-simulated --chat folder
+      jrdb-avr export --store S react --results jrdb-avr.yaml --url https://huggingface.co/datasets/ME/QUESTIONS
     """
-    public, hf, graph, chat, jsonl = (paths[name] for name in ("public", "hf", "graph", "chat", "jsonl"))
+    public, hf, graph = (paths[name] for name in ("public", "hf", "graph"))
+    chat, jsonl, results = (paths[name] for name in ("chat", "jsonl", "results"))
     if not any(paths.values()):
-        raise click.UsageError("say what to write: --public, --hf, --graph, --jsonl or --chat")
-    if (run is None) is bool(chat or jsonl):
-        raise click.UsageError("--jsonl and --chat need a RUN; --public, --hf and --graph take no RUN")
+        raise click.UsageError("say what to write: --public, --hf, --graph, --jsonl, --chat or --results")
+    if (run is None) is bool(chat or jsonl or results):
+        raise click.UsageError("--jsonl, --chat and --results need a RUN; --public, --hf and --graph take no RUN")
     if opaque and public is None:
         raise click.UsageError("--opaque is an option of --public")
     if public is not None:
@@ -69,6 +76,12 @@ def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, 
         with warnings_as_notes():
             count = export_chat(store, run, chat)
         note(f"wrote {chat}: {count} conversations")
+    if results is not None and run is not None:
+        from jrdb_avr.engine.integrations.huggingface import model_results
+        from jrdb_avr.queries.files import write_bytes
+
+        write_bytes(results, model_results(store, run, url).encode())
+        note(f"wrote {results}: three scores; its notes hold what the form has no fields for")
     if jsonl is not None and run is not None:
         from jrdb_avr.engine.report.prediction_lines import write_lines
         from jrdb_avr.engine.report.run_scores import predictions_path

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.files import file_hash
@@ -16,28 +18,8 @@ from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
 KEYS: Final = {"questions": "question_id", "sequences": "sequence"}
 """Name of the key column of each published table."""
 
-_CONTEXT: Final[dict[str, Any]] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "dct": "http://purl.org/dc/terms/",
-    "sc": "https://schema.org/",
-    "conformsTo": "dct:conformsTo",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "description": {"@container": "@language"},
-    "name": {"@container": "@language"},
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-} | {
-    term: f"cr:{term}"
-    for term in (
-        *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field", "fileObject"),
-        *("fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset", "jsonPath", "key", "md5"),
-        *("parentField", "path", "recordSet", "references", "regex", "repeated", "replace", "samplingRate"),
-        *("separator", "source", "subField", "transform"),
-    )
-}
+_CONTEXT: Final = msgspec.json.decode(files(__package__).joinpath("croissant_context.json").read_bytes())
+"""The JSON-LD context that Croissant 1.1 prescribes."""
 
 _TYPES: Final = {pa.string(): "sc:Text", pa.int32(): "sc:Integer", pa.float64(): "sc:Float"}
 
@@ -62,12 +44,12 @@ class Release(NamedTuple):
     rai: Mapping[str, str]
 
 
-def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source], release: Release) -> dict[str, Any]:
+def croissant(folder: Path, paths: Mapping[str, str], sources: Sequence[Source], release: Release) -> dict[str, Any]:
     """Describe the tables of a published folder.
 
     Args:
         folder: The folder.
-        files: Path of each table's file, relative to the folder, by the name of the table.
+        paths: Path of each table's file, relative to the folder, by the name of the table.
         sources: The data sets that the questions come from.
         release: Version, day, publisher and address.
 
@@ -93,8 +75,8 @@ def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source],
             for source in sources
         ],
         **{f"rai:{name}": text for name, text in release.rai.items()},
-        "distribution": [_file(folder, table, path) for table, path in files.items()],
-        "recordSet": [_records(table) for table in files],
+        "distribution": [_file(folder, table, path) for table, path in paths.items()],
+        "recordSet": [_records(table) for table in paths],
     }
 
 

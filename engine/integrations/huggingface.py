@@ -1,4 +1,4 @@
-"""Export of a question set as two folders that Hugging Face's `datasets` can load.
+"""Export of a question set as two folders that Hugging Face's `datasets` can load, and of a run's scores for its Hub.
 
     DIR/public/README.md                      the dataset card, which names the files for `load_dataset`
     DIR/public/croissant.json                 the description of the tables in the format Croissant
@@ -15,9 +15,10 @@ questions have opaque ids. Neither folder has pictures.
 from __future__ import annotations
 
 import datetime
+import re
 import shutil
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -30,13 +31,18 @@ from jrdb_avr import __version__
 from jrdb_avr.engine.generate.blind import question_texts
 from jrdb_avr.engine.generate.guessers import COUNTING
 from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
-from jrdb_avr.engine.report.truth import is_imported
+from jrdb_avr.engine.report.run_scores import read_submission, score_run
+from jrdb_avr.engine.report.scored_runs import read_index
+from jrdb_avr.engine.report.scoring import DEFAULT_IOU
+from jrdb_avr.engine.report.tables import INTERVALS, score_columns
+from jrdb_avr.engine.report.truth import is_imported, read_truth
 from jrdb_avr.engine.run.public import rename
 from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.opaque import key_path, opaque_ids, opaque_names
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
+from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
 
 _PRIVATE: Final = ("answers", "evidence")
@@ -50,6 +56,11 @@ _IMPORTED: Final = (
     "Questions about people in 360-degree video that a mobile robot recorded. Another program wrote them; jrdb-avr "
     "checked their form and their boxes, and proved no answer. The publisher keeps answers and boxes for scoring."
 )
+_RESULTS: Final = """\
+# A file .eval_results/NAME.yaml for the repository of a model. Values are percentages of all questions of the run.
+# The form has no fields for the method, the interval, the selection of questions and the marks of a run: see the notes.
+"""
+_DATASET: Final = re.compile(r"https://huggingface\.co/datasets/([\w.-]+/[\w.-]+)/?")
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 
 
@@ -106,7 +117,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     write_table(private / _path("names"), mapping.sort_by("sequence"), _NAMES, metadata)
     shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
     about = _columns(_PRIVATE) | {"names": _ABOUT_NAMES}
-    write_bytes(private / "README.md", _render("private_card.md", head=_front(_configs(about)), tables=about, **shared))
+    write_bytes(private / "README.md", _render("private_card.md", head=_yaml(_configs(about)), tables=about, **shared))
 
     # Rows are sorted by ids and opaque names, because an order by real names would help to guess the real names.
     tables = {
@@ -119,7 +130,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     write_bytes(public / "croissant.json", msgspec.json.format(msgspec.json.encode(described), indent=2) + b"\n")
     text = _render(
         "card.md",
-        head=_front(_head(len(questions), sources) | _configs(tables)),
+        head=_yaml(_head(len(questions), sources) | _configs(tables)),
         synthetic=card.SYNTHETIC if card.SAMPLE in sources else "",
         sequences=len(sequences),
         counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
@@ -159,6 +170,39 @@ def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
     return sources_of(layers) + ([card.SAMPLE] if any(map(card.is_of_sample, sequences)) else [])
 
 
+def model_results(store: Store, run_id: str, url: str) -> str:
+    """Return the scores of a run in the form in which Hugging Face keeps the results of a model.
+
+    Args:
+        store: The store of the run, with answers.
+        run_id: The id of the run.
+        url: Address of the published questions on Hugging Face.
+
+    Returns:
+        YAML with one entry per score. The notes of an entry state what the form has no fields for.
+
+    Raises:
+        StoreError: If the run or the answers are missing, or if the store has a training set.
+        InputError: If `url` is not the address of a data set on Hugging Face.
+    """
+    if (dataset := _DATASET.fullmatch(url)) is None:
+        raise InputError(
+            f"{url!r} is no data set of Hugging Face: give https://huggingface.co/datasets/...", field="url"
+        )
+    store.refuse_training()
+    run = score_run(read_truth(store), read_submission(store, run_id), DEFAULT_IOU)
+    row, manifest = score_columns(read_index(store), run), run.manifest
+    asked = f"{row['n']} questions of {row['sequences']} sequences, hash {manifest.questions_sha256[:16]}"
+    about = [f"method {manifest.method}", *filter(None, [run.label]), asked, f"minimum IoU {DEFAULT_IOU:g}"]
+    entries = []
+    for name in ("combined", "answer", "evidence"):
+        bounds = f": {row[f'{name}_low']} to {row[f'{name}_high']}" if row["interval"] == INTERVALS else ""
+        notes = "; ".join([*about, row["interval"] + bounds])
+        task = {"id": dataset[1], "task_id": name}
+        entries.append({"dataset": task, "value": row[name], "date": manifest.created, "notes": notes})
+    return _RESULTS + _yaml(entries)
+
+
 # -- the cards --------------------------------------------------------------------------------------------------------
 
 
@@ -183,8 +227,9 @@ def _configs(tables: Iterable[str]) -> dict[str, Any]:
     return {"configs": configs}
 
 
-def _front(head: Mapping[str, Any]) -> str:
-    text: str = yaml.safe_dump(dict(head), sort_keys=False, allow_unicode=True)
+def _yaml(head: Any) -> str:
+    """Return a value as YAML."""
+    text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
     return text
 
 

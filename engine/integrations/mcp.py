@@ -14,18 +14,22 @@ import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, Required, TypedDict
 
 import uvicorn
 from mcp.server.mcpserver import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
+from mcp.server.mcpserver.tools import Tool
 from mcp.server.mcpserver.utilities.types import Image
 from mcp.server.transport_security import TransportSecuritySettings
-from pydantic import WithJsonSchema
+from mcp.types import ToolAnnotations
+from pydantic import Field, WithJsonSchema
 
+from jrdb_avr import __version__
 from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
-from jrdb_avr.agent.model.messages import metadata_line, picture_of
+from jrdb_avr.agent.model.messages import picture_of
 from jrdb_avr.agent.model.schemas import FRAME_ID_SCHEMA, evidence_schema
+from jrdb_avr.engine.integrations import tool_calls
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.journal import unanswered
@@ -48,11 +52,26 @@ _HOW: Final = (
     "submit_answer with your answer and the box that proves it; then next_question again, until none is left."
 )
 
-# These types only document arguments. They accept any value, so that the episode can count and explain a wrong value.
-_FrameId = Annotated[Any, WithJsonSchema(FRAME_ID_SCHEMA)]
-_Angle = Annotated[Any, WithJsonSchema({"type": "number"})]
-_Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answer_schema has it"})]
-_Boxes = Annotated[Any, WithJsonSchema(evidence_schema())]
+# These types only document arguments. They accept any value and none, so that the episode can count and explain faults.
+_MISSING: Any = Field(default_factory=lambda: None)
+_Token = Annotated[str, Field(default_factory=str)]
+_FrameId = Annotated[Any, _MISSING, WithJsonSchema(FRAME_ID_SCHEMA)]
+_Angle = Annotated[Any, _MISSING, WithJsonSchema({"type": "number"})]
+_Answer = Annotated[Any, _MISSING, WithJsonSchema({"description": "as the question's answer_schema has it"})]
+_Boxes = Annotated[Any, _MISSING, WithJsonSchema(evidence_schema())]
+_HINTS: Final = ToolAnnotations(
+    read_only_hint=False, destructive_hint=False, idempotent_hint=False, open_world_hint=False
+)
+
+
+class Begun(TypedDict, total=False):
+    """Result of `next_question`. If `done` is true, it has only `message`, otherwise it has all other keys."""
+
+    done: Required[bool]
+    message: str
+    episode: str
+    prompt: str
+    answer_schema: dict[str, Any]
 
 
 class _Open(NamedTuple):
@@ -77,14 +96,17 @@ class Desk:
 
     def server(self) -> MCPServer:
         """Return an MCP server with the tools of this desk."""
-        server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
-        server.add_tool(self.next_question)
-        # The output is not structured, because MCP has no structured form for a list that has a picture.
-        server.add_tool(self.observe, description=LOOK, structured_output=False)
-        server.add_tool(self.submit_answer, description=SUBMIT)
-        return server
+        tools = [
+            Tool.from_function(self.next_question, annotations=_HINTS),
+            # The output is not structured, because MCP has no structured form for a list that has a picture.
+            Tool.from_function(self.observe, description=LOOK, annotations=_HINTS, structured_output=False),
+            Tool.from_function(self.submit_answer, description=SUBMIT, annotations=_HINTS),
+        ]
+        for tool in tools:
+            tool.parameters["required"] = list(tool.parameters["properties"])
+        return MCPServer("jrdb-avr", instructions=_HOW, version=__version__, tools=tools, log_level="WARNING")
 
-    def next_question(self) -> dict[str, Any]:
+    def next_question(self) -> Begun:
         """Begin the next question: its text with the rules, the schema of its answer, and the token of its episode."""
         with self._lock:
             if len(self._open) >= MOST_OPEN:
@@ -97,20 +119,18 @@ class Desk:
         schema = episode.answer_schema["properties"]["answer"]
         return {"done": False, "episode": token, "prompt": episode.prompt, "answer_schema": schema}
 
-    def observe(self, episode: str, frame_id: _FrameId, angle_deg: _Angle) -> list[Any]:
+    def observe(self, episode: _Token, frame_id: _FrameId, angle_deg: _Angle) -> list[Any]:
         """Observe a frame; returns two lines (frame and angle; looks and turns left) and the picture as JPEG."""
         with self._playing(episode) as moves:
-            observation = moves.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
-            left = moves.left
-        assert observation is not None, "a look that is not refused returns what it shows"
-        where = f"{metadata_line(observation)}\nLooks left: {left.looks}, turns left: {left.moves}"
-        return [where, Image(data=picture_of(observation).data, format="jpeg")]
+            text, seen = tool_calls.observe(moves, frame_id=frame_id, angle_deg=angle_deg)
+        return [text, Image(data=picture_of(seen).data, format="jpeg")]
 
-    def submit_answer(self, episode: str, answer: _Answer, evidence_bboxes: _Boxes) -> str:
+    def submit_answer(self, episode: _Token, answer: _Answer, evidence_bboxes: _Boxes) -> str:
         """Submit the final answer; returns a line that says it was accepted."""
         with self._playing(episode) as moves:
-            moves.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
-        return "taken; call next_question for another question"
+            return (
+                f"{tool_calls.submit_answer(moves, answer, evidence_bboxes)}; call next_question for another question"
+            )
 
     @contextlib.contextmanager
     def _playing(self, token: str) -> Iterator[Episode]:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 from PIL import Image
 
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
-from jrdb_avr.agent.model.messages import metadata_line
+from jrdb_avr.engine.integrations import tool_calls
 from jrdb_avr.engine.run.bench import Bench
 from jrdb_avr.engine.run.judge import Judge
 
@@ -62,13 +62,8 @@ class QuestionEnvironment:
         Returns:
             The frame and angle, the looks and turns that are left, and the picture.
         """
-        observation = self._episode.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
-        assert observation is not None, "a look that is not refused returns what it shows"
-        left = f"Looks left: {self._episode.left.looks}, turns left: {self._episode.left.moves}"
-        return [
-            {"type": "text", "text": f"{metadata_line(observation)}\n{left}"},
-            {"type": "image", "image": Image.fromarray(observation.image)},
-        ]
+        text, seen = tool_calls.observe(self._episode, frame_id=frame_id, angle_deg=angle_deg)
+        return [{"type": "text", "text": text}, {"type": "image", "image": Image.fromarray(seen.image)}]
 
     def submit_answer(self, answer: int | dict[str, Any], evidence_bboxes: list[dict[str, Any]]) -> str:
         """Give the final answer, with one box round the person in the newest picture, in thousandths of it.
@@ -80,8 +75,7 @@ class QuestionEnvironment:
         Returns:
             The word "taken".
         """
-        self._episode.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
-        return "taken"
+        return tool_calls.submit_answer(self._episode, answer, evidence_bboxes)
 
 
 class Environments:

@@ -6,10 +6,14 @@ cd "$(dirname "$0")/../.."
 releases=$1
 shift
 
+integrations=tests/engine/integrations
 declare -A tests=(
-  [rl]="tests/engine/integrations/test_rl.py tests/engine/integrations/test_trl.py"
-  [openenv]=tests/engine/integrations/test_openenv.py
+  [clients]="tests/test_imports.py tests/queries/test_cluster.py $integrations/test_inspect_ai.py $integrations/test_mcp.py
+    $integrations/test_gymnasium.py $integrations/test_huggingface.py $integrations/test_integrations_docs.py"
+  [rl]="$integrations/test_rl.py $integrations/test_trl.py"
+  [openenv]=$integrations/test_openenv.py
 )
+declare -A extras=([clients]='[inspect,mcp,gym,ray,test]')
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 for door in "$@"; do
@@ -17,7 +21,7 @@ for door in "$@"; do
   if [ "$releases" = newest ]; then unpin='/^torch=/!s/==.*//'; else unpin=''; fi
   sed "$unpin" "tests/doors/$door.txt" > "$work/$door.txt"
   python3 -m venv "$work/$door"
-  "$work/$door/bin/pip" install --quiet . -r "$work/$door.txt" pytest pytest-xdist hypothesis
+  "$work/$door/bin/pip" install --quiet ".${extras[$door]-}" -r "$work/$door.txt" pytest pytest-xdist hypothesis
   "$work/$door/bin/pip" freeze | grep -ixf <(sed -n 's/^\([a-z].*\)==.*/\1==.*/p' "tests/doors/$door.txt")
   # shellcheck disable=SC2086  # the files are separate arguments
   REQUIRE_EXTRAS=1 "$work/$door/bin/python" -m pytest -m "" -n 0 ${tests[$door]}

@@ -11,6 +11,7 @@ from processes import run
 
 from jrdb_avr.engine.integrations.huggingface import export_folders, licence_of, sources_of
 from jrdb_avr.queries.opaque import key_path, stored_ids
+from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import RAI, SAMPLE, SOURCES
 from jrdb_avr.schema.errors import InputError
@@ -178,3 +179,29 @@ def test_an_export_is_repeatable_and_replaces_nothing(store, folders, tmp_path):
     assert (tmp_path / "cli" / "public" / "croissant.json").exists()
     for arguments in ((), ("r", "--hf", "x"), ("--jsonl", "x"), ("r",)):
         assert run("export", "--store", store.path, *arguments)[0] == 2
+
+
+@pytest.mark.parametrize("least", [1, 10])
+def test_the_hub_reads_the_scores_of_a_run(small_demo, tmp_path, monkeypatch, least):
+    from huggingface_hub import eval_result_entries_to_yaml, parse_eval_result_entries
+
+    store, run_id, file = small_demo.folder / "store", "react-simulated-perfect", tmp_path / "results.yaml"
+    arguments = ("export", "--store", store, run_id, "--results", file)
+    monkeypatch.setattr("jrdb_avr.engine.report.tables.LEAST_CLUSTERS", least)
+    assert run(*arguments)[0] == 1 and not file.exists()
+    assert run(*arguments, "--url", "https://huggingface.co/datasets/lab/questions")[0] == 0
+    written = yaml.safe_load(file.read_text("utf-8"))
+    entries = parse_eval_result_entries(written)
+    # No key is one that the Hub does not know.
+    assert eval_result_entries_to_yaml(entries) == written
+    (row,) = [row for row in json.loads(run("report", "--store", store, "--json")[1]) if row["run"] == run_id]
+    manifest = read_run_manifest(Store(store), run_id)
+    assert [(entry.task_id, entry.value) for entry in entries] == [
+        (name, row[name]) for name in ("combined", "answer", "evidence")
+    ]
+    asked = f"{row['n']} questions of {row['sequences']} sequences, hash {manifest.questions_sha256[:16]}"
+    for entry in entries:
+        bounds = f": {row[f'{entry.task_id}_low']} to {row[f'{entry.task_id}_high']}" if least == 1 else ""
+        about = ["method react", "synthetic", asked, "minimum IoU 0.5", row["interval"] + bounds]
+        assert entry.notes.split("; ") == about
+        assert (entry.dataset_id, entry.date) == ("lab/questions", manifest.created)

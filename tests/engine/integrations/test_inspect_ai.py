@@ -1,5 +1,6 @@
 """The tasks of Inspect, run by its own `eval`: predictions as by `evaluate`, and nothing private in a log."""
 
+import json
 import os
 from types import SimpleNamespace
 
@@ -7,7 +8,11 @@ import pytest
 from environment import needs
 from question_files import blocked_store
 
+from jrdb_avr.queries.questions import read_question_rows
+from jrdb_avr.queries.runs import read_run_manifest
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError
+from jrdb_avr.schema.panorama import Box, iou
 
 needs("inspect_ai", "openai")
 
@@ -44,7 +49,7 @@ def rows_of(log):
 
 
 def metrics(log):
-    return {(score.name, name): own.value for score in log.results.scores for name, own in score.metrics.items()}
+    return {(score.name, own.name): own.value for score in log.results.scores for own in score.metrics.values()}
 
 
 @pytest.mark.parametrize("name", [pytest.param("react", marks=pytest.mark.slow), "tools"])
@@ -65,9 +70,79 @@ def test_the_simulated_model_plays_as_in_evaluate_without_anything_private(
     scored = inspect_ai.score(log, door.judged(str(small_demo.folder / "store")), display="none")
     found = metrics(scored)
     assert {found[part, "mean"] for part in ("answer", "evidence", "combined")} == {1.0}
-    assert found["judged", "hallucination"] == 0.0
+    assert found["hallucination", "mean"] == 0.0
     text = scored.model_dump_json()
     assert not [secret for secret in secrets if secret in text]
+
+
+def test_a_log_names_the_questions_and_scores_say_what_was_predicted(small_demo, run, by_evaluate, store):
+    import inspect_ai
+    from inspect_ai.log import read_eval_log
+
+    from jrdb_avr.engine.integrations import inspect_ai as door
+
+    whole = Store(small_demo.folder / "store")
+    log = run(door.react(str(whole.path), limit=2), score=False)
+    manifest = read_run_manifest(whole, "react-simulated-perfect")
+    written = read_eval_log(log.location)
+    assert written.eval.metadata == {
+        "generation": whole.questions("questions").schema.metadata[b"generation"].decode(),
+        "questions_sha256": manifest.questions_sha256,
+        "profile": "benchmark",
+        "load_rules_hash": whole.manifest().load_rules_hash,
+    }
+    for sample in written.samples:
+        # The turns with their pictures, each part once.
+        row = by_evaluate[sample.id]
+        replies = [message for message in sample.messages if message.role == "assistant"]
+        parts = [part for message in sample.messages if message.role == "user" for part in message.content]
+        assert len(replies) == row["n_model_calls"] and row["raw"] == replies[-1].text
+        pictures = [part.image for part in parts if part.type == "image"]
+        assert len(set(pictures)) == len(pictures) == row["n_observations"]
+
+    public = inspect_ai.score(written, door.judged(str(whole.path)), display="none")
+    assert public.results.scores[0].name == "combined"
+    labels = {row.question_id: row for row in read_question_rows(whole)}
+    asked = [labels[sample.id] for sample in public.samples]
+    kinds = {f"{kind} {getattr(row, kind)}" for row in asked for kind in ("family", "template")}
+    # Fewer than ten sequences have no standard error.
+    assert {name for score, name in metrics(public) if score == "combined"} == {"mean", *kinds}
+    truth = {row["question_id"]: json.loads(row["answer"]) for row in whole.questions("answers").to_pylist()}
+    private = inspect_ai.score(written, door.judged(str(whole.path), gold=True), display="none")
+    for sample, known in zip(public.samples, private.samples, strict=True):
+        shown, row = sample.scores["judged"].metadata, by_evaluate[sample.id]
+        box = [row[f"evidence_{side}"] for side in "xywh"]
+        assert shown == {
+            "family": labels[sample.id].family,
+            "template": labels[sample.id].template,
+            "answer": json.loads(row["answer"]),
+            "evidence": {"frame": row["evidence_frame"], "box": box},
+            "reason": None,
+        }
+        gold = known.scores["judged"].metadata
+        assert gold.keys() - shown.keys() == {"gold_answer", "gold_box", "iou"}
+        assert gold["gold_answer"] == truth[sample.id] and gold["iou"] == pytest.approx(
+            iou(Box(*box), Box(*gold["gold_box"]))
+        )
+    # A wrong box beside a right answer, and a wrong answer, which does not count.
+    first, second = (row for row in rows_of(written))
+    first["evidence_x"], second["answer"] = first["evidence_x"] + 1000, None
+    changed = inspect_ai.score(written, door.judged(str(whole.path)), display="none")
+    assert (metrics(changed)["answer", "mean"], metrics(changed)["hallucination", "mean"]) == (0.5, 1.0)
+    with pytest.raises(AvrError, match="has no question"):
+        inspect_ai.score(written, door.judged(str(store.path)), display="none")
+
+
+def test_standard_errors_need_ten_sequences():
+    from inspect_ai.scorer import SampleScore, Score
+
+    from jrdb_avr.engine.integrations.inspect_ai import clustered
+
+    def scores(sequences):
+        return [SampleScore(score=Score(value=i % 2), sample_metadata={"sequence": str(i)}) for i in range(sequences)]
+
+    assert clustered()(scores(9)) == {}
+    assert clustered()(scores(10)) == {"stderr": pytest.approx((10 * 0.25 * 10 / 9) ** 0.5 / 10)}
 
 
 def test_other_methods_play_too_and_unknown_ones_are_refused(small_demo, run):
@@ -107,18 +182,6 @@ def test_replies_that_call_no_tool_cost_turns_and_end(small_demo, run):
     assert row["reason"] == "the reply calls no tool"
 
 
-def test_hallucination_is_the_share_of_right_answers_with_wrong_evidence():
-    from inspect_ai.scorer import SampleScore, Score
-
-    from jrdb_avr.engine.integrations.inspect_ai import hallucination
-
-    def scores(*pairs):
-        return [SampleScore(score=Score(value={"answer": a, "evidence": 1, "combined": c})) for a, c in pairs]
-
-    assert hallucination()(scores((1, 1), (1, 0), (0, 0), (1, 0))) == pytest.approx(2 / 3)
-    assert hallucination()(scores((0, 0))) == 0.0
-
-
 def test_the_installed_package_offers_the_tasks():
     from importlib.metadata import entry_points
 
@@ -137,7 +200,8 @@ def test_a_judge_whose_process_has_ended_is_replaced(small_demo, by_evaluate, mo
     opened, begin = [], door.Judge.open
     recorded = SimpleNamespace(open=lambda store: opened.append(begin(store)) or opened[-1])
     monkeypatch.setattr(door, "Judge", recorded)
-    state = SimpleNamespace(store={door.PREDICTION: next(iter(by_evaluate.values()))})
+    row = next(iter(by_evaluate.values()))
+    state = SimpleNamespace(sample_id=row["question_id"], store={door.PREDICTION: row})
 
     async def twice():
         score = door.judged(str(small_demo.folder / "store"))

@@ -20,6 +20,7 @@ from painted import QUESTIONS_ASKED
 from question_files import blocked_store
 from scored_runs import journal_lines
 
+from jrdb_avr import __version__
 from jrdb_avr.engine.cli import group
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store
@@ -223,6 +224,48 @@ def test_moves_that_are_malformed_or_refused_are_spent_and_told_why(store, monke
     asyncio.run(main())
     (row,) = predictions(store, "r")
     assert (row["status"], row["n_model_calls"], row["n_observations"]) == ("invalid", 6, 1)
+
+
+def test_a_missing_argument_is_a_malformed_turn(store):
+    async def main():
+        async with desk(store, [QUESTIONS_ASKED[0].question_id]) as client:
+            episode = (await client.call_tool("next_question")).structured_content["episode"]
+            calls = [("observe", {"angle_deg": 90}), ("observe", {}), ("submit_answer", {"answer": 1})]
+            texts = [text_of(await client.call_tool(name, {"episode": episode, **given})) for name, given in calls]
+            assert "no such episode" in text_of(await client.call_tool("observe", {}))
+            await client.call_tool("observe", {"episode": episode, "frame_id": "000015", "angle_deg": 180})
+            given = {"episode": episode, "answer": 1, "evidence_bboxes": box(15)}
+            assert not (await client.call_tool("submit_answer", given)).is_error
+            return texts
+
+    first, second, third = asyncio.run(main())
+    assert "refused: an observe turn lacks frame_id (looks left: 24, turns left: 49)" in first
+    assert "an observe turn lacks angle_deg, frame_id (looks left: 24, turns left: 48)" in second
+    assert "the first turn must look (looks left: 24, turns left: 47)" in third
+    (row,) = predictions(store, "r")
+    assert (row["status"], row["n_model_calls"]) == ("answered", 5)
+
+
+def test_the_server_describes_itself_and_its_tools(store):
+    async def main():
+        async with desk(store) as client:
+            return client.server_info, (await client.list_tools()).tools
+
+    server, tools = asyncio.run(main())
+    assert (server.name, server.version) == ("jrdb-avr", __version__)
+    required = {tool.name: tool.input_schema.get("required") for tool in tools}
+    assert required == {
+        "next_question": [],
+        "observe": ["episode", "frame_id", "angle_deg"],
+        "submit_answer": ["episode", "answer", "evidence_bboxes"],
+    }
+    # Each call changes the episode, but only adds to it, and reaches nothing outside the store.
+    for tool in tools:
+        hints = tool.annotations.model_dump(exclude_none=True)
+        assert len(hints) == 4 and not any(hints.values())
+    typed = tools[0].output_schema
+    assert typed["properties"].keys() == {"done", "message", "episode", "prompt", "answer_schema"}
+    assert typed["required"] == ["done"]
 
 
 def test_questions_are_handed_out_once_and_asked_again_where_they_were_left_open(store):
