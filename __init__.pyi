@@ -13,7 +13,7 @@ from jrdb_avr.engine.report.comparison import diff as diff
 from jrdb_avr.engine.report.comparison import Scores as Scores
 from jrdb_avr.engine.report.comparison import Comparison as Comparison
 from jrdb_avr.engine.report.comparison import RunDifference as RunDifference
-from jrdb_avr.engine.integrations.notebook import Store as Store
+from jrdb_avr.engine.pages.notebook import Store as Store
 from jrdb_avr.engine.observe.observer import Observer as Observer
 from jrdb_avr.loaders.result import LoadResult as LoadResult
 from jrdb_avr.engine.run.live_scores import LiveScore as LiveScore

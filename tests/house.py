@@ -25,7 +25,7 @@ BUDGETS = {
     "engine/run": 1650,
     "engine/report": 1300,
     "engine/pages": 1200,
-    "engine/integrations": 1020,
+    "engine/integrations": 900,
     "engine/commands": 1500,
     "engine": 350,
     "agent/model": 1250,

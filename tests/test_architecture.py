@@ -143,10 +143,8 @@ def test_cypher_of_the_search_is_short_and_in_files():
     texts = [path.read_text("utf-8") for folder in SEARCH for path in (ROOT / "queries" / folder).glob("*.cypher")]
     assert len(texts) > 30 and sum(len(text.splitlines()) for text in texts) <= CYPHER
     writers = {name for name, path in modules().items() if any(READS.search(text) for text in texts_in(path))}
-    # The compiler makes statements of plans; `queries.graph` and the export of a graph read the rows of any graph.
-    assert {name.rpartition(".")[0] for name in writers} == {
-        *("queries.compiler", "queries.graph", "engine.integrations")
-    }
+    # The compiler makes statements of plans; `queries.graph` reads the rows of any graph.
+    assert {name.rpartition(".")[0] for name in writers} == {"queries.compiler", "queries.graph"}
 
 
 def test_no_column_of_a_parquet_file_is_replaced_by_the_name_of_a_folder():

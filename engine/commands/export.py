@@ -66,7 +66,7 @@ def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, 
         published, private = export_folders(store, hf, creator, url)
         note(f"wrote {published}, to be published, and {private}, which is not")
     if graph is not None:
-        from jrdb_avr.engine.integrations.graph_tables import export_graph
+        from jrdb_avr.queries.graph.export import export_graph
 
         entries = export_graph(store, graph)
         note(f"wrote {graph}: {len(entries)} tables with {sum(entry['rows'] for entry in entries):,} rows")
