@@ -46,7 +46,7 @@ CAMERAS_FILE: Final = "cameras.yaml"
 IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
 
 _IMAGE: Final = re.compile(r"([0-9]{6})\.jpg")
-_ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
+ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
 """Names of label files of single cameras, which some releases keep in the same folder as the stitched files."""
 
 
@@ -162,7 +162,7 @@ class _Search:
         entries = self._listing(folder)
         if entries is None:
             return []
-        named = [name for name in entries if name.lower().endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
+        named = [name for name in entries if name.lower().endswith(".json") and not ONE_CAMERA.fullmatch(name[:-5])]
         if not named:
             self.notes.append(f"{self._shown(folder)} holds no label files of sequences")
         # X.json is preferred to X.JSON, so it is sorted first.
