@@ -19,7 +19,7 @@ import msgspec
 from jrdb_avr.loaders.root import LABEL_DIRS, ONE_CAMERA
 from jrdb_avr.schema.errors import InputError
 
-FRAME: Final = re.compile(r"([0-9]{1,9})(\.(?:jpg|pcd|png|bin))")
+FRAME: Final = re.compile(r"(?:.*/)?([0-9]{1,9})(\.(?:jpg|pcd|png|bin))")
 _NAME: Final = re.compile(r"[A-Za-z][\w /:.-]{0,59}")
 """Pattern of a label name. Codes of masks and other texts are counted, but not written."""
 _MASKS: Final = {"segmentation", "counts"}
@@ -127,7 +127,8 @@ def fingerprint(root: str | Path) -> Fingerprint:
                     folder.labels[name] = "not JSON"
                     continue
                 folder.keys.add(content)
-                folder.labels[name] = _numbering(_frame_names(content))
+                frames = content.get("labels", content.get("images")) if isinstance(content, dict) else ()
+                folder.labels[name] = _numbering(frames if isinstance(frames, dict | list) else ())
         folder.files = {end: {"count": len(own), "bytes": [min(own), max(own)]} for end, own in sizes.items()}
         folder.keys.prune()
         if names:
@@ -135,20 +136,10 @@ def fingerprint(root: str | Path) -> Fingerprint:
     return Fingerprint(folders)
 
 
-def _frame_names(content: Any) -> list[str]:
-    """Return the keys of the object `labels`, or the file names of the list `images`."""
-    listed = content.get("labels", content.get("images")) if isinstance(content, dict) else ()
-    names = (
-        [item.get("file_name") if isinstance(item, dict) else item for item in listed]
-        if isinstance(listed, dict | list)
-        else []
-    )
-    return [str(name).rpartition("/")[2] for name in names]
-
-
-def _numbering(names: Iterable[str]) -> list[int]:
-    """Return the first frame, the last frame and the number of frames of names such as `000000.jpg`, or nothing."""
-    frames = sorted(int(match[1]) for name in names if (match := FRAME.fullmatch(name)))
+def _numbering(names: Iterable[Any]) -> list[int]:
+    """Return first frame, last frame and number of frames of file names, keys of `labels` or images, or nothing."""
+    texts = (str(name.get("file_name") if isinstance(name, dict) else name) for name in names)
+    frames = sorted(int(match[1]) for text in texts if (match := FRAME.fullmatch(text)))
     return [frames[0], frames[-1], len(frames)] if frames else []
 
 

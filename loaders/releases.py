@@ -76,10 +76,8 @@ def odd_values(layer: str, path: str | Path) -> Iterator[str]:
         parts = [kind.keys["[]"]]
         for name in key.split("."):
             parts = [child for part in parts for n, child in part.keys.items() if name in (n, "*")]
-        types, shown = (
-            sum((Counter(part.types) for part in parts), Counter[str]()),
-            key.partition(".[]")[0].removesuffix(".*"),
-        )
+        types = sum((Counter(part.types) for part in parts), Counter[str]())
+        shown = key.partition(".[]")[0].removesuffix(".*")
         if not types:
             yield f"no {shown}"
         elif types.most_common(1)[0][0] not in usual.split():

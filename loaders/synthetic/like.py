@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -23,20 +23,11 @@ from jrdb_avr.loaders.root import CALIBRATION, IMAGE_DIRS
 from jrdb_avr.loaders.synthetic.write import CALIBRATION_FILES
 from jrdb_avr.schema.errors import InputError
 
-_MOST_VALUES: Final = 8_000_000
-"""Maximum number of JSON values. If a fingerprint has more than half as many, only a share of the records is made."""
-_FILE: Final = 8
-"""Number of values that a file, or a frame of a file, counts for."""
-
-_NUMBERS: Final[dict[str, Callable[[int, int], float]]] = {
-    **dict.fromkeys(
-        ("id", "label_id", "tracking_id", "floor_id", "cluster_ID", "frame_id", "cx"), lambda item, _: item
-    ),
-    **{"image_id": lambda item, frames: item % frames, "track_id": lambda item, frames: item // frames},
-    "timestamp": lambda item, _: item / 15,
-}
-"""Numbers of keys, from the index of a record and the number of frames of its file. Other numbers are 1."""
-_CONVERT: Final[dict[str, Callable[[float], Any]]] = {"int": int, "float": float, "bool": lambda _: False}
+_MOST_VALUES: Final = 6_000_000
+"""Maximum number of JSON values. If a fingerprint has more than a third, only a share of the records is made."""
+_INDEXED: Final = ("id", "label_id", "tracking_id", "floor_id", "cluster_ID", "frame_id", "cx")
+"""Keys with the index of the record as number. A few other keys have other numbers, and the rest has 1."""
+_SCALARS: Final[dict[str, Any]] = {"int": int, "float": float, "bool": lambda _: False, "NoneType": lambda _: None}
 
 
 class _Place(NamedTuple):
@@ -63,7 +54,7 @@ def write_like(file: Path, root: Path) -> str:
     """
     try:
         folders = msgspec.json.decode(to_utf8(read_input(file), file), type=Fingerprint).folders
-        maker = _Maker(min(1.0, _MOST_VALUES / 2 / max(sum(folder.keys.total() for folder in folders.values()), 1)))
+        maker = _Maker(min(1.0, _MOST_VALUES / 3 / max(sum(folder.keys.total() for folder in folders.values()), 1)))
         for path, folder in folders.items():
             _write_folder(path, folder, maker, root)
     except BROKEN as error:
@@ -84,9 +75,7 @@ def _write_folder(path: str, folder: Folder, maker: _Maker, root: Path) -> None:
     # Pictures are empty files, and only those that `load` reads.
     for frame in maker.frames(folder.frames if target.parent.name == Path(IMAGE_DIRS[0]).name else []):
         (target / f"{frame:06}{ending}").touch()
-    places = {
-        name: _Place(Path(name).stem, maker.frames(span)) for name, span in folder.labels.items() if span != "not JSON"
-    }
+    places = {n: _Place(Path(n).stem, maker.frames(span)) for n, span in folder.labels.items() if span != "not JSON"}
     texts = map(msgspec.json.encode, maker.make(folder.keys, [*places.values()], ""))
     for name in folder.labels:
         (target / name).write_bytes(next(texts) if name in places else b"{")
@@ -108,7 +97,8 @@ class _Maker:
     def frames(self, span: Any) -> list[int]:
         """Return frames with the given first frame, last frame and count, at equal distances but for missing frames."""
         first, last, count = span if len(span) == 3 else (0, 0, 0)
-        self.spend(_FILE * (count + 1))
+        # To create a file takes as long as a few values.
+        self.spend(4 * (count + 1))
         if count > last - first + 1:
             raise InputError(f"{span} in a fingerprint is not first frame, last frame and number of frames")
         frames = [*range(first, last, (last - first) // max(count - 1, 1) or 1), last]
@@ -122,10 +112,8 @@ class _Maker:
         made: list[Any] = []
         for name, count in _split(kind.types, len(places)):
             part = places[len(made) : len(made) + count]
-            if name in makers:
-                made += makers[name](kind, part, key)
-            else:
-                made += [_CONVERT.get(name, lambda _: None)(_number(key, place)) for place in part]
+            scalar = _SCALARS.get(name, float)
+            made += makers[name](kind, part, key) if name in makers else [scalar(_number(key, place)) for place in part]
         return made + [None] * (len(places) - len(made))
 
     def _dicts(self, kind: Kind, places: list[_Place], _: str) -> list[Any]:
@@ -137,10 +125,8 @@ class _Maker:
             slots = sorted(((start + j) % size, j // size) for j in range(count))
             start += count
             if FRAME.fullmatch(name) and any(place.frames for place in places):
-                every = ((i, frame) for i, place in enumerate(places) for frame in place.frames)
-                slots = list(islice(every, self._left + 1))
-            values = self.make(child, [places[i] for i, _ in slots], name)
-            for (i, number), value in zip(slots, values, strict=True):
+                slots = list(islice(((i, n) for i, place in enumerate(places) for n in place.frames), self._left + 1))
+            for (i, number), value in zip(slots, self.make(child, [places[i] for i, _ in slots], name), strict=True):
                 dicts[i][_renumber(name, number)] = value
         return dicts
 
@@ -153,21 +139,22 @@ class _Maker:
         if key == "images":
             lengths = [len(place.frames) if place.item is None else 0 for place in places]
         slots = sorted((j, i) for i, length in enumerate(lengths) for j in range(length))
-        inner = [places[i] if places[i].item is not None else places[i]._replace(item=j) for j, i in slots]
+        inner = [places[i] if places[i].item is not None else _Place(*places[i][:2], j) for j, i in slots]
         for (_, i), item in zip(slots, self.make(child, inner, key), strict=True):
             lists[i].append(item)
         for i, place in enumerate(places if key in ("box", "bbox") else ()):
             # All boxes of a person are at about the same column, and no two boxes of a folder are equal.
             box = (37 * (place.item or 0) % 3600, 50 + 2 * (i % 97), 40 + i // 4850 % 60, 60 + i // 97 % 50)
-            pairs = zip(lists[i], box, strict=False)
-            lists[i][:4] = [type(item)(number) if isinstance(item, int | float) else item for item, number in pairs]
+            lists[i][:4] = [
+                type(x)(n) if isinstance(x, int | float) else x for x, n in zip(lists[i], box, strict=False)
+            ]
         return lists
 
 
 def _split(counts: dict[str, int], total: int) -> Iterator[tuple[str, int]]:
     """Divide a total in proportion to counts. Each gets at least 1 while any is left."""
     whole = sum(counts.values())
-    for name, count in sorted(counts.items(), key=lambda item: item[1]):
+    for name, count in counts.items():
         share = min(max(count * total // max(whole, 1), int(count > 0)), total)
         yield name, share
         total, whole = total - share, whole - count
@@ -181,7 +168,9 @@ def _lengths(bounds: tuple[int, int], count: int, total: int) -> list[int]:
 
 
 def _number(key: str, place: _Place) -> float:
-    return _NUMBERS[key](place.item or 0, len(place.frames) or 1) if key in _NUMBERS else 1
+    item, frames = place.item or 0, len(place.frames) or 1
+    numbers = {"image_id": item % frames, "track_id": item // frames, "timestamp": item / 15}
+    return numbers.get(key, item if key in _INDEXED else 1)
 
 
 def _texts(kind: Kind, places: list[_Place], key: str) -> list[str]:
@@ -189,15 +178,11 @@ def _texts(kind: Kind, places: list[_Place], key: str) -> list[str]:
     unnamed = kind.types["str"] - sum(kind.names.values())
     names = [name for name, count in _split(kind.names | {"": unnamed}, len(places)) for _ in range(count)]
     for i, place in enumerate(places):
-        # A person is no partner of itself.
+        # A person is no partner of itself. A name with too many digits begins with zeros, which `load` ignores.
         number = (place.item or 0) ^ (key == "pair")
         if key == "file_name" and place.frames:
             sequence, number = without_digits(place.file), place.frames[number % len(place.frames)]
             names[i] = next((name for name in kind.names if sequence in name), names[i]).replace(sequence, place.file)
-        elif match := re.fullmatch(".*:(0+)", names[i]):
-            # The number of a person has as many digits as the name, so people with different names differ.
-            low = 10 ** (len(match[1]) - 1) - (len(match[1]) == 1)
-            number = low + number % (10 ** len(match[1]) - low)
         names[i] = _renumber(names[i], number) if names[i] else f"{_number(key, place):.0f}"
     return names
 
