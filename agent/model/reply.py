@@ -140,8 +140,8 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
         reasoning=_text(message.reasoning_content) or _text(message.reasoning) or thinking,
         finish_reason=end,
         model=_text(completion.model)[:_LONGEST_NAME],
-        prompt_tokens=_tokens(completion.usage, "prompt_tokens", "input_tokens"),
-        completion_tokens=_tokens(completion.usage, "completion_tokens", "output_tokens"),
+        prompt_tokens=_tokens(completion.usage, "prompt|input"),
+        completion_tokens=_tokens(completion.usage, "completion|output|candidates"),
         refusal=_text(message.refusal),
     )
 
@@ -172,7 +172,7 @@ def _parts(content: str | list[Any] | None) -> tuple[str, str]:
         match part:
             case str():
                 texts.append(part)
-            case {"text": str(text)} if part.get("type", "text") in ("text", "output_text"):
+            case {"text": str(text), **rest} if rest.get("type", "text") in ("text", "output_text"):
                 texts.append(text)
             case {"type": "thinking" | "reasoning", "thinking": str(text)}:
                 thoughts.append(text)
@@ -186,11 +186,11 @@ def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _tokens(usage: object, *names: str) -> int:
+def _tokens(usage: object, names: str) -> int:
     """Return a count of tokens. If it is missing or invalid, return 0, because the reply itself may be valid."""
-    counts: list[Any] = [usage.get(name) for name in names] if isinstance(usage, dict) else []
-    valid = (count for count in counts if type(count) in (int, float) and 0 < count <= _MOST_TOKENS)
-    return next((int(count) for count in valid if count == int(count)), 0)
+    form = re.compile(rf"(?i)({names})_?tokens?(_?count)?")
+    counts = [count for name, count in usage.items() if form.fullmatch(name)] if isinstance(usage, dict) else []
+    return next((int(n) for n in counts if type(n) in (int, float) and 0 < n <= _MOST_TOKENS and n % 1 == 0), 0)
 
 
 def answer_text(reply: Reply, convention: Convention) -> str:

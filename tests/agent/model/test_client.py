@@ -823,6 +823,8 @@ def test_what_no_json_holds_is_no_fault_of_the_reply(note):
     "usage",
     [
         {"input_tokens": 10, "output_tokens": 5},
+        {"promptTokens": 10, "completionTokens": 5.0},
+        {"promptTokenCount": 10, "candidates_token_count": 5},
         {"prompt_tokens": 10.0, "completion_tokens": 5.0},
         {"prompt_tokens": None, "input_tokens": 10.0, "completion_tokens": 5},
     ],
