@@ -6,17 +6,22 @@ import os
 import subprocess
 import sys
 import time
+from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 
-from jrdb_avr.queries.workers import map_sequences
+from jrdb_avr.queries.workers import map_sequences, run_alone
 from jrdb_avr.schema.errors import InputError, StoreError
 
 
 def square(value: int) -> int:
     return value * value
+
+
+def sort_squares(values: list[int]) -> list[tuple[int, int]]:
+    return sorted(map_sequences(square, values, 2, float))
 
 
 def refuse(value: int) -> int:
@@ -46,6 +51,12 @@ def test_an_error_of_a_shard_is_raised_as_it_is(workers):
 def test_a_dead_worker_is_an_error_that_says_what_to_do():
     with pytest.raises(StoreError, match="fewer --workers"):
         list(map_sequences(die, [1, 2], 2, weight=float))
+
+
+def test_a_daemonic_process_starts_no_process():
+    with get_context("spawn").Pool(1) as pool:
+        assert pool.apply(run_alone, [dict]) == {}
+        assert pool.apply(sort_squares, [[2, 1]]) == [(0, 4), (1, 1)]
 
 
 @pytest.mark.parametrize("given", [True, False])
