@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from multiprocessing import get_context
+from multiprocessing import current_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -18,10 +18,6 @@ from jrdb_avr.schema.errors import InputError, StoreError
 
 def square(value: int) -> int:
     return value * value
-
-
-def sort_squares(values: list[int]) -> list[tuple[int, int]]:
-    return sorted(map_sequences(square, values, 2, float))
 
 
 def refuse(value: int) -> int:
@@ -53,10 +49,10 @@ def test_a_dead_worker_is_an_error_that_says_what_to_do():
         list(map_sequences(die, [1, 2], 2, weight=float))
 
 
-def test_a_daemonic_process_starts_no_process():
-    with get_context("spawn").Pool(1) as pool:
-        assert pool.apply(run_alone, [dict]) == {}
-        assert pool.apply(sort_squares, [[2, 1]]) == [(0, 4), (1, 1)]
+def test_a_daemonic_process_starts_no_process(monkeypatch):
+    monkeypatch.setattr(current_process(), "daemon", True)
+    assert sorted(map_sequences(lambda value: value, [2, 1], 2, float)) == [(0, 2), (1, 1)]
+    assert run_alone(os.getpid) == os.getpid()
 
 
 @pytest.mark.parametrize("given", [True, False])
