@@ -58,14 +58,22 @@ def test_boxes_in_another_form_get_a_warning(tmp_path):
     forms = {
         "": lambda x, y, w, h: (x, y, w, h),
         "corners": lambda x, y, w, h: (x, y, x + w, y + h),
-        "fractions of the picture (x, y": lambda x, y, w, h: (x / 3760, y / 480, w / 3760, h / 480),
-        "fractions of the picture (x1": lambda x, y, w, h: (x / 3760, y / 480, (x + w) / 3760, (y + h) / 480),
+        "fractions or per cents of the picture (x, y": lambda x, y, w, h: (x / 3760, y / 480, w / 3760, h / 480),
+        "fractions or per cents of the picture (x1": lambda x, y, w, h: (
+            x / 3760,
+            y / 480,
+            (x + w) / 3760,
+            (y + h) / 480,
+        ),
         "centres": lambda x, y, w, h: (x + w / 2, y + h / 2, w, h),
+        "fractions or per cents": lambda x, y, w, h: (x / 37.6, y / 4.8, w / 37.6, h / 4.8),
+        # Only one of five people has corners.
+        "corners (x1": lambda x, y, w, h: (x, y, x + w, y + h) if x % 5 == 0 and x >= 2720 else (x, y, w, h),
     }
     for number, (form, change) in enumerate(forms.items()):
         layer = {f: [person(t, change(*boxes[17 * f + t])) for t in range(17)] for f in range(4)}
         _, (report,) = load_reported(tmp_path / str(number), {"yard-1": {"2d": layer}})
-        found = [line.removeprefix("the 2D boxes look like ")[: len(form)] for line in report.warnings]
+        found = [line.removeprefix("2D boxes look like ")[: len(form)] for line in report.warnings]
         assert (found, report.boxes) == ([form] if form else [], 68)
 
 
