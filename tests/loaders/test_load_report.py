@@ -37,7 +37,7 @@ def test_the_report_fits_a_page_and_says_each_thing_once(tmp_path, world):
     text = run(tmp_path, world)
     tables = [line for line in text.splitlines() if line[:1] in "│┃┏└┡"]
     assert tables and max(map(len, tables)) <= 120
-    assert "Layers of 4 sequences: 2d at every frame\n" in text
+    assert "Layers of 4 sequences: 2d at every frame; without 3d (labels_3d), demographics (" in text
     (row,) = [line for line in tables if "width or height is not positive" in line]
     cells = [cell.strip() for cell in row.strip("│").split("│")]
     assert cells[:3] == ["8", "4", "2d record"]
