@@ -144,8 +144,9 @@ def progress_bar(below: Callable[[], str] = lambda: "") -> Iterator[Callable[[st
     Args:
         below: Function that returns the text below the bars. It is called several times per second.
 
-    Yields: A function that advances the progress bar of a step. Its arguments are the step's name, the finished count
-    and the total count.
+    Yields:
+        A function that advances the progress bar of a step. Its arguments are the step's name, the finished count and
+        the total count.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn

@@ -142,7 +142,7 @@ def _split_columns(names: Sequence[str], cells: _Cells, width: int) -> list[list
 
 
 def _min_width(names: Sequence[str], cells: _Cells) -> int:
-    """Return the width of the narrowest table that splits no word. The width includes the borders."""
+    """Return the width, in characters with the borders, of the narrowest table that splits no word."""
     return sum(_max_length(str.split, name, cells) + 3 for name in names) + 1
 
 

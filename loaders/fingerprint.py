@@ -144,28 +144,30 @@ def _numbering(names: Iterable[Any]) -> list[int]:
 
 
 def renamed_folders(root: Path, chosen: Collection[Path]) -> list[str]:
-    """Find folders that `load` does not know, but that have label files of a layer.
+    """Find archives, and folders that `load` does not know, but that have label files of a layer.
 
     Args:
         root: Folder of the root.
         chosen: Folders that the user gave for layers.
 
     Returns:
-        A line per folder with the option of `load` that loads it, or with what it lacks.
+        A line per archive or folder: how to load it, or what it lacks.
     """
     known = [pattern for patterns in LABEL_DIRS.values() for pattern in patterns]
-    lines = []
+    archives = [x for x in sorted({*root.glob("*.zip"), *root.glob("labels/*.zip")}) if not x.with_suffix("").exists()]
+    lines = [f"{path.relative_to(root)} is an archive: if it is not unpacked, unpack it" for path in archives]
     for folder in sorted({*root.glob("*/"), *root.glob("*/*/"), *root.glob("labels/*/*/")} - set(chosen)):
         name = folder.relative_to(root).as_posix()
         files = sorted(folder.glob("*.json"))
-        if not files or "head" in folder.name or any(fnmatch.fnmatch(folder.name, pattern) for pattern in known):
-            continue
         stitched = [file for file in files if not ONE_CAMERA.fullmatch(file.stem)]
+        usual = folder.parent in (root, root / "labels") and any(fnmatch.fnmatch(folder.name, n) for n in known)
+        if not files or "head" in folder.name or (usual and stitched):
+            continue
         with contextlib.suppress(OSError), (stitched or files)[0].open("rb") as file:
             start = file.read(1 << 16)
             layer = next((layer for layer, key in _KEYS.items() if key in start), None)
             if layer and stitched:
                 lines.append(f"{name} looks like the layer {layer}: to load it, add --layer-dir {layer}={name}")
-            elif layer == "2d" and not {*root.glob("labels_2d_stitched"), *root.glob("labels/labels_2d_stitched")}:
-                lines.append(f"{name} has files of single cameras only: add the folder labels_2d_stitched")
+            elif layer == "2d" and (usual or not (folder.parent / "labels_2d_stitched").exists()):
+                lines.append(f"{name} has files of single cameras only: add the files labels_2d_stitched/SEQUENCE.json")
     return lines

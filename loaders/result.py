@@ -15,6 +15,12 @@ from jrdb_avr.queries.display import Displayed, Tables
 
 _Row = dict[str, Any]
 
+_FOLDERS = {
+    **{"2d": "labels_2d_stitched", "3d": "labels_3d", "demographics": "labels_2d_activity_social_stitched"},
+    "images": "images/image_stitched/SEQUENCE/000000.jpg",
+}
+"""Files of the layers on which most questions depend, for the text about a missing layer."""
+
 
 @dataclass(frozen=True, repr=False)
 class LoadResult(Displayed):
@@ -88,13 +94,15 @@ def _summary(report: SequenceReport) -> _Row:
 
 
 def _layers(report: SequenceReport) -> str:
-    """Return a text that lists the layers of a sequence, grouped by the distance between the frames of a layer."""
+    """Return a text that lists a sequence's layers by the distance between their frames, and the missing layers."""
     steps: dict[str, list[str]] = {}
     for layer in report.layers:
         step = report.steps.get(layer)
         how = "" if step is None else " at every frame" if step == 1 else f" at every {step}th frame"
         steps.setdefault(how, []).append(layer)
-    return "; ".join(f"{', '.join(layers)}{how}" for how, layers in steps.items()) or "none"
+    text = "; ".join(f"{', '.join(layers)}{how}" for how, layers in steps.items()) or "none"
+    missing = ", ".join(f"{layer} ({files})" for layer, files in _FOLDERS.items() if layer not in report.layers)
+    return f"{text}; without {missing}" if missing else text
 
 
 def _checks(report: SequenceReport) -> _Row:

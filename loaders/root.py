@@ -93,7 +93,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
     root = Path(path)
     search = _Search(root)
     if not search.is_folder(root):
-        raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
+        raise InputError(f"{root} is not a folder: give the unpacked folder that holds labels/ or labels_2d_stitched/")
     chosen = {layer: search.chosen(layer, names) for layer, names in (layer_dirs or {}).items()}
     files: dict[str, dict[str, str]] = {}
     for layer in LABEL_DIRS:
@@ -103,11 +103,14 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
                 if sequence is not None:
                     files.setdefault(sequence, {}).setdefault(layer, str(file))
     if not files and not search.problems:
-        folders = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
-        path = root.resolve()
-        if any(fnmatch.fnmatch(path.name, name) for names in LABEL_DIRS.values() for name in names):
+        path, known = root.resolve(), [name for names in LABEL_DIRS.values() for name in names]
+        if any(fnmatch.fnmatch(path.name, name) for name in known):
             raise InputError(f"{root} is the folder of one layer: give {path.parents[path.parent.name == 'labels']}")
-        raise InputError(f"{root} holds nothing to load: no .json files in {folders}, with or without labels/")
+        inner = {str(x.parents[1]) for name in known for up in ("*", "*/*") for x in root.glob(f"{up}/labels/{name}")}
+        if inner:
+            raise InputError(f"{root} holds nothing to load, but its folders do: give {' or '.join(sorted(inner))}")
+        folders = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
+        raise InputError(f"{root} holds nothing to load: no files SEQUENCE.json in {folders}, with or without labels/")
     images_in = next((name for name in IMAGE_DIRS if search.is_folder(root / name)), None)
     sequences = []
     for sequence in sorted(files):

@@ -203,7 +203,7 @@ class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A program: nodes and edges at named times. The search begins at `root`, and the answer is read of `target`."""
+    """A program: nodes and edges at named times. The search begins at `root`, and the answer is about `target`."""
 
     root: Name
     target: Name

@@ -14,7 +14,7 @@ Weight = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 class Repeats(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Weights of repeated readings of a person (a full reading is 1). Errors of a model repeat.
+    """Weights of repeated readings, 0 to 1. A first reading has 1. Later ones repeat the errors of a model.
 
     Attributes:
         frame: Weight of a further reading in the same frame.

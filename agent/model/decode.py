@@ -74,7 +74,7 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
     """Convert four numbers to a box.
 
     Args:
-        numbers: Four finite numbers.
+        numbers: Four numbers.
         size: Width and height of the image in pixels.
         reading: The order and the scale of the numbers.
         convention: The convention of the model, which states how the model resizes images.
@@ -103,15 +103,15 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
-    """Check four numbers and return them. They must be finite. If the scale is not "unit", they must be integers."""
+    """Check four numbers and return them. If the scale is not "unit", they must be whole."""
     whole = reading.scale != "unit"
     kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
+    # Whole floats are integers. Floats up to 1 stay, because they may be fractions of the image.
+    if whole and any(type(item) in (int, float) and item > 1 for item in numbers):
+        numbers = [int(item) if type(item) is float and item.is_integer() else item for item in numbers]
     if any(type(item) not in kinds for item in numbers):
         raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
-    # An integer that is too large for a float counts as finite here. It is refused later, as it is outside the image.
-    if any(isinstance(item, float) and not math.isfinite(item) for item in numbers):
-        raise DecodeError(f"{what} must be a list of four finite numbers")
     return numbers
 
 

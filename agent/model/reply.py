@@ -74,19 +74,19 @@ class _Completion(msgspec.Struct):
 # This runs at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 msgspec.convert({"choices": []}, _Completion)
 
-_FAILED: Final = re.compile(
-    "error|abort|cancel|fail|insufficient|time_?d?_?out|unavailable|overload|capacity|interrupt|disconnect|busy|shutdown"
-)
-"""Parts of finish reasons of replies that the server broke off, such as "insufficient_system_resource"."""
-
 _ENDS: Final = {
-    **dict.fromkeys(("stop", "eos", "eos_token", "end_turn", "stop_sequence"), "stop"),
-    **dict.fromkeys(("length", "max_tokens", "max_output_tokens", "model_length"), "length"),
-    **dict.fromkeys(("max_length", "max_new_tokens", "token_limit", "model_context_window_exceeded"), "length"),
-    **dict.fromkeys(("safety", "sensitive", "recitation", "prohibited_content", "refusal"), "content_filter"),
+    "content_filter": "content_?(filter|policy)|safety|sensitive|recitation|prohibited|refusal|guardrail|moderat|toxic"
+    "|policy_violation|blocked|blocklist|spii",
+    "failed": "(?<!no_)error|abort|cancel|fail|insufficient|time_?d?_?out|unavailable|overload|capacity|interrupt"
+    "|disconnect|busy|shut_?down|crash|exception|memory|^oom|kill|died|preempt|evict|terminated|reset|deadline|throttl"
+    "|rate_?limit|too_many|quota|gateway|upstream|^5[0-9][0-9]$",
+    "length": "length|max_?(new_?|output_?|completion_?)?tokens|token_?limit|context_window",
+    "stop": "^(stop|eos|eos_token|end_turn|stop_sequence)$",
 }
-"""Finish reasons of chat completions, by finish reason. Some servers pass on the finish reasons of other protocols."""
+"""Ends of replies by regular expressions for finish reasons. Some servers use finish reasons of other protocols.
 
+"failed" means that the server broke off the reply, for example "insufficient_system_resource".
+"""
 
 _ESCAPE: Final = re.compile(r"\\(?:u[dD][89abAB]\w{2}\\u[dD][c-fC-F]\w{2}|(u[dD][89a-fA-F]\w{2})|.)")
 """An escape of JSON, or a pair of surrogates. The group is a lone surrogate."""
@@ -126,10 +126,11 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
     if not completion.choices:
         raise ValueError("it holds no choice")
     choice = completion.choices[0]
-    ended = _text(choice.finish_reason).strip()
-    plain = ended.lower().removeprefix("finish_reason_")
-    ended = _ENDS.get(plain, ended)
-    if choice.error or _FAILED.search(plain):
+    # Some gateways send the reason in a list or an object.
+    ended = str(choice.finish_reason or "").strip()
+    plain = re.sub("[ -]", "_", ended.lower()).removeprefix("finish_reason_")
+    end = next((end for end, form in _ENDS.items() if re.search(form, plain)), _text(choice.finish_reason).strip())
+    if choice.error or end == "failed":
         reason, code = _reason(choice.error)
         raise ErrorReply(status, reason or f"the reply ended with finish_reason {ended!a}", code)
     message = choice.message
@@ -137,10 +138,10 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
     return Reply(
         content=content,
         reasoning=_text(message.reasoning_content) or _text(message.reasoning) or thinking,
-        finish_reason=ended,
+        finish_reason=end,
         model=_text(completion.model)[:_LONGEST_NAME],
-        prompt_tokens=_tokens(completion.usage, "prompt_tokens", "input_tokens"),
-        completion_tokens=_tokens(completion.usage, "completion_tokens", "output_tokens"),
+        prompt_tokens=_tokens(completion.usage, "prompt|input"),
+        completion_tokens=_tokens(completion.usage, "completion|output|candidates"),
         refusal=_text(message.refusal),
     )
 
@@ -171,7 +172,7 @@ def _parts(content: str | list[Any] | None) -> tuple[str, str]:
         match part:
             case str():
                 texts.append(part)
-            case {"type": "text" | "output_text", "text": str(text)}:
+            case {"text": str(text), **rest} if rest.get("type", "text") in ("text", "output_text"):
                 texts.append(text)
             case {"type": "thinking" | "reasoning", "thinking": str(text)}:
                 thoughts.append(text)
@@ -185,11 +186,11 @@ def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _tokens(usage: object, *names: str) -> int:
+def _tokens(usage: object, names: str) -> int:
     """Return a count of tokens. If it is missing or invalid, return 0, because the reply itself may be valid."""
-    counts: list[Any] = [usage.get(name) for name in names] if isinstance(usage, dict) else []
-    valid = (count for count in counts if type(count) in (int, float) and 0 < count <= _MOST_TOKENS)
-    return next((int(count) for count in valid if count == int(count)), 0)
+    form = re.compile(rf"(?i)({names})_?tokens?(_?count)?")
+    counts = [count for name, count in usage.items() if form.fullmatch(name)] if isinstance(usage, dict) else []
+    return next((int(n) for n in counts if type(n) in (int, float) and 0 < n <= _MOST_TOKENS and n % 1 == 0), 0)
 
 
 def answer_text(reply: Reply, convention: Convention) -> str:

@@ -259,7 +259,7 @@ def read_person(
         fields: The fields.
         name: Name of the picture's observation.
         frame: Frame of the picture.
-        left: Column of the panorama at the left edge of the picture.
+        left: Column of the panorama at the left edge of the picture, in stitched pixels.
         size: Width and height of the picture in pixels.
         convention: How the model writes boxes.
 

@@ -145,13 +145,13 @@ def read_request(
     """Parse the user messages of a request.
 
     Args:
-        turns: User messages. The question and its choices may be in an earlier one than the last.
+        turns: User messages, oldest first. Only the last one names the stage. Any of them may hold the question.
         stages: Last lines of the stages that the model plays.
-        see: Reader of a picture.
-        sequences: Sequence of each question by its text, for pictures without references. Empty if each needs one.
+        see: Function that returns the people in a picture.
+        sequences: Names of sequences by the text of the question. If the text is missing, pictures need references.
 
     Returns:
-        The request, or None if the last line names none of the stages.
+        The request, or None if the last line of the last message is not in `stages`.
 
     Raises:
         DecodeError: If the question or a picture cannot be read.

@@ -119,7 +119,8 @@ def command(store: Store, matrix: Path | None, plan: bool, form: RowFormat, **va
         simulated = any(run["simulated"] or profile_of(run["model"]) is not None for run in runs)
         title += f" (synthetic: the {'simulated model' if simulated else 'sample world'})"
     rows = filled([run.row() for run in results])
-    print_rows(rows, title=title, form=form)
+    if rows or form:
+        print_rows(rows, title=title, form=form)
     for run, row in zip(results, rows, strict=True):
         _note_reasons(run, row, f"{run.run_id}: " if len(epochs) > 1 else "")
     if len(results) < len(epochs) or any(row["error"] for row in rows):

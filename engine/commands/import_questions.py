@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from jrdb_avr.engine.commands._options import Store, store_option
-from jrdb_avr.engine.console import note
+from jrdb_avr.engine.console import note, warnings_as_notes
 
 
 @click.command()
@@ -26,5 +26,5 @@ def command(files: tuple[Path, ...], store: Store) -> None:
     """
     from jrdb_avr.engine.integrations.import_questions import import_questions
 
-    count = import_questions(store, files)
-    note(f"imported {count} question{'s' if count != 1 else ''}; next: jrdb-avr validate --store {store.path}")
+    with warnings_as_notes():
+        note(f"questions imported: {import_questions(store, files)}; next: jrdb-avr validate --store {store.path}")

@@ -26,7 +26,7 @@ class Candidate(NamedTuple):
         truth: The right answer: an action, or one of four fixed answers.
         wrong: The answers that may be wrong choices.
         contexts: Names of the contexts and their weights. (`choice_contexts`, `answer_contexts`)
-        event: The event of the target that only one question may be about, if any.
+        event: Name of the event that the question asks about, or None. At most one question of a person has it.
         form: Form of the template.
         row: The row of a generator that makes the proposal again, encoded.
     """

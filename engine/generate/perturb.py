@@ -196,7 +196,10 @@ def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
 
 
 def iterate_proofs(program: Program, answer: Answer, setting: Setting) -> Iterator[Proof | None]:
-    """Yield the proofs of a program one by one, None for one that lacks facts. See `prove` for the parameters."""
+    """Yield what `prove` returns, one proof at a time, with None for each proof that lacks facts.
+
+    For the parameters see `prove`. NoAnswerError and MissingFactsError come before the first proof.
+    """
     people = find_tracks(program, setting)
     yield from prove_conditions(program, setting)
     yield from prove_changes(program, people, answer, setting)
@@ -209,7 +212,8 @@ def prove_conditions(program: Program, setting: Setting) -> Iterator[Proof | Non
         program: Program of a question.
         setting: Source of facts.
 
-    Yields: The proofs, None for one that lacks facts.
+    Yields:
+        The proofs in the order of the conditions. None for each proof that lacks facts.
     """
     for condition in program.conditions:
         left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
@@ -224,7 +228,7 @@ def prove_conditions(program: Program, setting: Setting) -> Iterator[Proof | Non
 def prove_changes(
     program: Program, people: Mapping[str, int], answer: Answer, setting: Setting
 ) -> Iterator[Proof | None]:
-    """Yield the proofs about hops and times, None for one that lacks facts.
+    """Yield the proofs about hops and times.
 
     Args:
         program: Program of a question.
@@ -232,7 +236,8 @@ def prove_changes(
         answer: Answer of the question.
         setting: Source of facts, keyframes and thresholds.
 
-    Yields: The proofs in the order in which questions store them.
+    Yields:
+        The proofs in the order in which questions store them. None for each proof that lacks facts.
     """
     for kind, variant, perturbed in hops(replace(program, held=people["a"])):
         yield _prove(kind, variant, perturbed, answer, setting)

@@ -343,7 +343,10 @@ def _wrong_actions(proposal: Proposal) -> frozenset[str]:
 
 
 def _event(proposal: Proposal) -> str | None:
-    """Return the start of an action, or the count of people, that only one question may be about."""
+    """Return the name of the event that a proposal asks about. At most one question of a person has an event.
+
+    The event is a count of people, or the start of an action. All other proposals have None.
+    """
     template = proposal.template
     if template.counts:
         return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"

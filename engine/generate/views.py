@@ -20,9 +20,9 @@ def shares(x: Floats, w: Floats, left: float | Floats) -> Floats:
     """Return the share of each box's width inside a crop.
 
     Args:
-        x: Left columns of the boxes.
-        w: Widths of the boxes.
-        left: Left column of the crop.
+        x: Left columns of the boxes, in stitched pixels.
+        w: Widths of the boxes, in pixels.
+        left: Left column of the crop, in stitched pixels.
 
     Returns:
         The shares, 0 to 1. The share of a box without width is 0.
@@ -38,8 +38,8 @@ def ahead(x: Floats, w: Floats, share: float) -> np.ndarray:
     """Return whether the view straight ahead shows at least a share of each box's width.
 
     Args:
-        x: Left columns of the boxes.
-        w: Widths of the boxes.
+        x: Left columns of the boxes, in stitched pixels.
+        w: Widths of the boxes, in pixels.
         share: Minimum share, 0 to 1.
 
     Returns:
@@ -52,12 +52,12 @@ def single_view(x: Floats, w: Floats, share: float) -> bool:
     """Return whether a single angle shows at least a share of each box's width.
 
     Args:
-        x: Left columns of the boxes.
-        w: Widths of the boxes.
+        x: Left columns of the boxes, in stitched pixels.
+        w: Widths of the boxes, in pixels.
         share: Minimum share, 0 to 1.
 
     Returns:
-        Whether such an angle exists.
+        Whether such an angle exists. True if there are no boxes.
     """
     if len(x) == 0:
         return True

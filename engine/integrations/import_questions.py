@@ -12,17 +12,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.publish import publish
-from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE
+from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, make_whole
 from jrdb_avr.engine.report.tables import TABLES
 from jrdb_avr.engine.report.truth import is_imported, is_inside
 from jrdb_avr.engine.run.public import rename
 from jrdb_avr.loaders.inputs import read_input, to_utf8
+from jrdb_avr.loaders.layers.boxes_2d import box_warnings
 from jrdb_avr.queries.files import write_once
 from jrdb_avr.queries.opaque import key_path
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import AnswerMode, Evidence
-from jrdb_avr.schema.errors import DecodeError, InputError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import DecodeError, InputError, StoreError, did_you_mean, warn
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.questions import IMPORTED_KEY
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
@@ -136,7 +137,7 @@ def _check(content: bytes | _Row, infos: Mapping[str, _Row]) -> tuple[QuestionLi
     for key in {"answer", "evidence", "choices"} & fields.keys():
         if isinstance(fields[key], str):  # A column of a Parquet file may have JSON texts.
             fields[key] = msgspec.json.decode(fields[key])
-    line = msgspec.convert(fields, QuestionLine)
+    line = msgspec.convert(make_whole(fields), QuestionLine)
     name, mode, choices, answer = line.question_id, MODES[line.answer_mode], line.choices, line.answer_json
     if not is_plain_name(name) or _RESERVED_ID.fullmatch(name):
         letters = "use at most 64 letters, digits, '.', '_' and '-', but not 16 hexadecimal digits as 'generate' does"
@@ -175,6 +176,8 @@ def _publish(store: Store, read: Sequence[tuple[QuestionLine, _Row]], infos: Map
     added = [pa.field(name, pa.string(), nullable=False) for name in names]
     asked = [infos[name] for name in sorted({line.sequence for line, _ in read})]
     tables = {"rejected": [], "sequences": asked, "evidence": boxes}
+    for warning in box_warnings(pa.Table.from_pylist(boxes)):
+        warn(f"evidence: {warning}")
     publish(
         store,
         pa.Table.from_pylist(rows, pa.schema([*_COLUMNS, *added])),

@@ -18,7 +18,7 @@ def min_crops_of_frame(centers: Iterable[float]) -> int:
     So it is enough to try each point as the first one.
 
     Args:
-        centers: Centre columns of the boxes. They wrap around.
+        centers: Centre columns of the boxes in stitched pixels. They may have any value, and wrap around at 3760.
 
     Returns:
         The smallest number of crops.
@@ -41,7 +41,7 @@ def min_crops(boxes: Iterable[tuple[int, float, float]]) -> int:
     """Count the looks that are needed to show all boxes. A look shows one crop of one frame.
 
     Args:
-        boxes: Frame, left column and width of each box.
+        boxes: Frame, left column and width of each box, in stitched pixels.
 
     Returns:
         The smallest number of looks.

@@ -41,7 +41,7 @@ def wrapped(text: str, characters: int) -> tuple[str, ...]:
         characters: Maximum number of characters in a line.
 
     Returns:
-        The lines. An empty text gives one empty line.
+        The lines. A longer word is cut. An empty text gives one empty line.
     """
     return tuple(textwrap.wrap(text, characters, break_on_hyphens=False)) or ("",)
 

@@ -112,7 +112,7 @@ def parse_lines(data: bytes, run_id: str, file: Path, stored: Mapping[str, str] 
         try:
             if len(line) > LARGEST_LINE:
                 raise ValueError(f"it is longer than {LARGEST_LINE} bytes")
-            record = msgspec.convert(_make_whole(_JSON.decode(line)), PredictionLine)
+            record = msgspec.convert(make_whole(_JSON.decode(line)), PredictionLine)
             # An invalid prediction keeps its answer if only its box could not be read, for a reason.
             partial = record.status == "invalid" and record.reason and not record.evidence
             if record.answer and record.status != "answered" and not partial:
@@ -133,11 +133,23 @@ def parse_lines(data: bytes, run_id: str, file: Path, stored: Mapping[str, str] 
     return pa.Table.from_pylist(rows, RUNS["predictions"])
 
 
-def _make_whole(value: Any) -> Any:
-    """Turn whole numbers into integers, because pandas writes a column that has a gap as floats."""
+def make_whole(value: Any) -> Any:
+    """Turn whole numbers into integers, because pandas writes a column that has a gap as floats.
+
+    Args:
+        value: JSON of untrusted lines.
+
+    Returns:
+        The JSON with integers in all fields of whole numbers.
+
+    Raises:
+        ValueError: If such a field has another float.
+    """
+    if isinstance(value, list):
+        return [make_whole(item) for item in value]
     if not isinstance(value, dict):
         return value
-    fields = {key: _make_whole(field) for key, field in value.items()}
+    fields = {key: make_whole(field) for key, field in value.items()}
     for key in (key for key in _WHOLE & fields.keys() if isinstance(fields[key], float)):
         if not fields[key].is_integer():
             raise ValueError(f"{key} must be a whole number, not {fields[key]}")

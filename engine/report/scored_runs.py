@@ -55,8 +55,8 @@ class QuestionIndex:
     """The questions of a store.
 
     Attributes:
-        ids: Their ids.
-        labels: Their labels for each dimension.
+        ids: Ids of the questions. All arrays and lists of this object have this order.
+        labels: Labels of the questions, by dimension.
         twins: For each question, the key that it shares with its time twin. None without a twin.
         references: Guessers that tables of scores have below the runs.
     """
@@ -85,7 +85,7 @@ class ScoredRun:
 
     Attributes:
         manifest: The run's manifest.
-        rows: Indexes in `ids` of the run's questions, ascending. Shape: (n,).
+        rows: Indexes of the run's questions in `QuestionIndex.ids`, ascending. Shape: (n,).
         table: The rows of the table `scores`.
         errors: Number of questions that ended in an error.
         answers: The predicted answer to each of the n questions as JSON, or None without an answer.

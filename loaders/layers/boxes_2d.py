@@ -174,13 +174,13 @@ def box_warnings(boxes: pa.Table) -> list[str]:
     # In all files of JRDB, at most 7 % of the boxes could be corners, and no box ends below the picture.
     corners = _most((w > x) & (h > y))
     form = ""
-    if _most((w <= 1) & (h <= 1)):
-        form = f"fractions of the picture ({'x1, y1, x2, y2' if corners else 'x, y, width, height'})"
-    elif corners and _most(w > WIDTH / 20):
+    if _most((w <= 1) & (h <= 1), 0.05) or _most((x <= 100) & (w <= 100) & (y <= 100) & (h <= 100)):
+        form = f"fractions or per cents of the picture ({'x1, y1, x2, y2' if corners else 'x, y, width, height'})"
+    elif _most((w > x) & (h > y) & (w > WIDTH / 20), 0.15):
         form = "corners (x1, y1, x2, y2)"
     elif _most(y + h > 1.05 * HEIGHT, 0.02):
         form = "centres (x, y, width, height), or like pixels of another picture"
-    return [f"the 2D boxes look like {form}, not like left, top, width, height in pixels: convert them"] if form else []
+    return [f"2D boxes look like {form}, not like left, top, width, height in pixels: convert them"] if form else []
 
 
 def _most(mask: Bools, share: float = 0.5) -> bool:

@@ -87,7 +87,7 @@ class World:
         return np.random.default_rng(int.from_bytes(hashlib.sha256(text).digest()[:16], "big"))
 
     def named(self, *digits: int) -> bool:
-        """Return whether the sequence's name ends in one of the digits, which decide awkward cases of its files."""
+        """Return whether the sequence's name ends in "_" and one of `digits`, which select faults of its files."""
         return self.name.endswith(tuple(f"_{digit}" for digit in digits))
 
     def _joints(self, rows: Floats) -> npt.NDArray[np.float32]:

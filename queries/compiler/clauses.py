@@ -153,7 +153,7 @@ def towards(angle: str) -> Clause:
     """Return the clause of a condition that a person is in the sector with the axis `v`.
 
     Args:
-        angle: Panorama angle of the person.
+        angle: Cypher expression of the person's panorama angle in degrees.
     """
     off = f"({angle} - {{v}} + 180.0)"
     off = f"abs({off} - 360.0 * floor({off} / 360.0) - 180.0)"

@@ -103,17 +103,36 @@ ALTERED = {
     "no actions": (boxes(lambda record: record.pop("action_label")), "no action_label"),
     "another label": (boxes(lambda record: record.update(action_label={"juggling": 1})), "juggling"),
     "boxes as corners": (boxes(into_corners), "corners"),
+    "one camera in the usual folder": (
+        lambda root: one_camera(root, BOXES),
+        "stitched has files of single cameras only",
+    ),
+    "zipped layer": (lambda root: zipped(root / "labels/labels_3d"), "labels/labels_3d.zip is an archive"),
+    "no 3D boxes": (lambda root: shutil.rmtree(root / "labels/labels_3d"), "; without 3d (labels_3d)"),
+    "no panoramas": (
+        lambda root: (root / "images").rename(root / "IMAGES"),
+        "; without images (images/image_stitched/",
+    ),
+    "no labels": (
+        lambda root: shutil.rmtree(root / "labels"),
+        "holds nothing to load: no files SEQUENCE.json in labels_2d",
+    ),
     "swapped levels": (lambda root: swap_levels(root), "labels_2d_stitched/labels looks like the layer 2d"),
     "no JSON": (lambda root: next((root / BOXES).glob("*")).write_text("{"), "JSON"),
 }
 """By alteration, the change of a root and what `load` prints about it."""
 
 
-def one_camera(root):
+def zipped(folder):
+    shutil.make_archive(folder, "zip", folder)
+    shutil.rmtree(folder)
+
+
+def one_camera(root, name="labels/labels_2d"):
     for layer in ("labels_2d_activity_social_stitched", "labels_2d_stitched_new_version", "labels_3d"):
         shutil.rmtree(root / "labels" / layer)
-    (root / BOXES).rename(root / "labels/labels_2d")
-    for path in (root / "labels/labels_2d").glob("*"):
+    (root / BOXES).rename(root / name)
+    for path in sorted((root / name).glob("*")):
         path.rename(path.with_stem(path.stem + "_image0"))
 
 
@@ -150,10 +169,22 @@ def test_an_altered_copy_has_another_fingerprint(sample, root, name):
     assert plain(root) != before
 
 
-def test_a_root_of_renamed_folders_loads_as_the_message_says(root, tmp_path):
+def rename_layers(root):
     shutil.rmtree(root / "labels" / "labels_3d")
     for index, folder in enumerate(sorted((root / "labels").iterdir())):
         folder.rename(folder.with_name(f"mine-{index}"))
+
+
+def nest_layers(root):
+    for folder in sorted((root / "labels").iterdir()):
+        folder.rename(root / "layer")
+        folder.mkdir()
+        (root / "layer").rename(folder / folder.name)
+
+
+@pytest.mark.parametrize("alter", [rename_layers, nest_layers, lambda root: (root / "labels").rename(root / "mine")])
+def test_a_root_of_other_folders_loads_as_the_message_says(root, tmp_path, alter):
+    alter(root)
     code, _, err = run("load", root, "--store", tmp_path / "store")
     options = re.findall(r"--layer-dir (\w+=\S+)", err)
     assert code == 1 and {option.partition("=")[0] for option in options} >= {"2d", "pose", "panoptic"}, err
@@ -161,3 +192,10 @@ def test_a_root_of_renamed_folders_loads_as_the_message_says(root, tmp_path):
     code, out, err = run("load", root, "--store", tmp_path / "store", *given)
     assert code == 0, err
     assert "pose" in out and "panoptic" in out
+
+
+def test_a_folder_of_roots_names_them(root, tmp_path):
+    (tmp_path / "jrdb/splits").mkdir(parents=True)
+    root.rename(tmp_path / "jrdb/splits/test_dataset")
+    code, _, err = run("load", tmp_path / "jrdb", "--store", tmp_path / "store")
+    assert code == 1 and err.endswith(f": give {tmp_path}/jrdb/splits/test_dataset\n"), err

@@ -37,7 +37,7 @@ def test_the_report_fits_a_page_and_says_each_thing_once(tmp_path, world):
     text = run(tmp_path, world)
     tables = [line for line in text.splitlines() if line[:1] in "│┃┏└┡"]
     assert tables and max(map(len, tables)) <= 120
-    assert "Layers of 4 sequences: 2d at every frame\n" in text
+    assert "Layers of 4 sequences: 2d at every frame; without 3d (labels_3d), demographics (" in text
     (row,) = [line for line in tables if "width or height is not positive" in line]
     cells = [cell.strip() for cell in row.strip("│").split("│")]
     assert cells[:3] == ["8", "4", "2d record"]
@@ -58,14 +58,22 @@ def test_boxes_in_another_form_get_a_warning(tmp_path):
     forms = {
         "": lambda x, y, w, h: (x, y, w, h),
         "corners": lambda x, y, w, h: (x, y, x + w, y + h),
-        "fractions of the picture (x, y": lambda x, y, w, h: (x / 3760, y / 480, w / 3760, h / 480),
-        "fractions of the picture (x1": lambda x, y, w, h: (x / 3760, y / 480, (x + w) / 3760, (y + h) / 480),
+        "fractions or per cents of the picture (x, y": lambda x, y, w, h: (x / 3760, y / 480, w / 3760, h / 480),
+        "fractions or per cents of the picture (x1": lambda x, y, w, h: (
+            x / 3760,
+            y / 480,
+            (x + w) / 3760,
+            (y + h) / 480,
+        ),
         "centres": lambda x, y, w, h: (x + w / 2, y + h / 2, w, h),
+        "fractions or per cents": lambda x, y, w, h: (x / 37.6, y / 4.8, w / 37.6, h / 4.8),
+        # Only one of five people has corners.
+        "corners (x1": lambda x, y, w, h: (x, y, x + w, y + h) if x % 5 == 0 and x >= 2720 else (x, y, w, h),
     }
     for number, (form, change) in enumerate(forms.items()):
         layer = {f: [person(t, change(*boxes[17 * f + t])) for t in range(17)] for f in range(4)}
         _, (report,) = load_reported(tmp_path / str(number), {"yard-1": {"2d": layer}})
-        found = [line.removeprefix("the 2D boxes look like ")[: len(form)] for line in report.warnings]
+        found = [line.removeprefix("2D boxes look like ")[: len(form)] for line in report.warnings]
         assert (found, report.boxes) == ([form] if form else [], 68)
 
 

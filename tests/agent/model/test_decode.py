@@ -266,12 +266,20 @@ def evidence(bbox, frame="000150", key="bbox"):
     return [{"frame_id": frame, key: bbox}]
 
 
+def test_whole_floats_are_integers_unless_they_may_be_fractions():
+    assert decode.read_box([0.0, 0, 500.0, 1e3], (480, 480)) == Box(0, 0, 240, 480)
+    for numbers in ([0.0, 0.0, 1.0, 1.0], [0.5, 0, 500.0, 700], ["1", 0, 500.0, 700], [True, 0, 500.0, 700]):
+        with pytest.raises(DecodeError, match="four integers"):
+            decode.read_box(numbers, (480, 480))
+
+
 @pytest.mark.parametrize(
     ("scale", "number", "said"),
     [
         ("thousandths", 10**400, "box has a coordinate outside 0..1000"),
         ("unit", 10**400, "box has a coordinate outside 0..1"),
-        ("unit", float("inf"), "box must be a list of four finite numbers"),
+        ("unit", float("inf"), "box has a coordinate outside 0..1"),
+        ("unit", float("nan"), "box has a coordinate outside 0..1"),
         ("unit", True, "box must be a list of four numbers"),
         ("thousandths", float("inf"), "box must be a list of four integers"),
     ],
@@ -298,7 +306,7 @@ def test_what_is_said_of_numbers_without_bounds(scale, number, said):
         evidence([-20, 0, -1, 10]),
         evidence([0, 0, 10]),
         evidence([0, 0, 10, 10, 10]),
-        evidence([0, 0, 10.0, 10]),
+        evidence([0, 0, 10.5, 10]),
         evidence([0, 0, "10", 10]),
         evidence([0, 0, True, 10]),
         evidence("0 0 10 10"),

@@ -91,8 +91,8 @@ def test_questions_of_another_program_go_through_every_step(empty, tmp_path):
     method.write_text(METHOD.replace("FILE", repr(str(file))))
     at = ("--store", empty.path)
     first = write(tmp_path / "first.jsonl", lines[:1])
-    assert "imported 1 question;" in done("import-questions", first, *at)[1]
-    assert "imported 20 questions" in done("import-questions", file, *at)[1]
+    assert "questions imported: 1;" in done("import-questions", first, *at)[1]
+    assert "questions imported: 20;" in done("import-questions", file, *at)[1]
     assert "no answer was derived again" in done("validate", *at)[1]
     for name in ("r", "r2"):
         done("evaluate", *at, "--method", f"{method}:Scripted", "--model", "none", "--run-id", name)
@@ -156,7 +156,24 @@ def test_parquet_gives_the_same_questions_as_lines(empty, tmp_path):
     assert [empty.questions(name) for name in QUESTIONS if name != "reviews"] == before
 
 
+def test_whole_floats_are_read_and_boxes_of_another_form_get_a_note(empty, tmp_path):
+    lines = list(lines_of(empty))
+    expected = [line["answer"] for line in lines]
+    for line in lines:
+        line["answer"] = {key: float(value) for key, value in line["answer"].items()}
+        for seen in line["evidence"]:
+            x, y, w, h = seen["box"]
+            seen |= {"frame": float(seen["frame"]), "box": [x, y, x + w, y + h]}
+    code, _, err = run("import-questions", write(tmp_path / "mine.jsonl", lines), "--store", empty.path)
+    assert code == 0 and "evidence: 2D boxes look like corners" in err and "Warning" not in err, err
+    stored = empty.questions("answers").sort_by("question_id").to_pylist()
+    assert {row["question_id"]: json.loads(row["answer"]) for row in stored} == {
+        line["question_id"]: answer for line, answer in zip(lines, expected, strict=True)
+    }
+
+
 CHANGES = {
+    "half a choice": ({"answer": {"choice": 1.5}}, "a whole number, not 1.5"),
     "no answer": ({"answer": None}, "answer"),
     "choice of none": ({"answer": {"choice": 5}}, "a choice from 1 to 2"),
     "another mode": ({"answer_mode": "span"}, "choices"),

@@ -224,6 +224,8 @@ def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
     assert result.exit_code == 1
     assert [row["run_id"] for row in json.loads(result.stdout)] == ["react-simulated-perfect"]
     assert "react, x: " in result.stderr and "cannot reach the server" in result.stderr
+    failed = CliRunner().invoke(command, (*options[:-1], "--model", "x"))
+    assert (failed.exit_code, failed.stdout) == (1, "")  # No table without rows.
 
 
 def test_the_papers_matrix_is_among_the_examples():
