@@ -42,7 +42,8 @@ class Kind(msgspec.Struct, omit_defaults=True):
     """Merged description of all values under one key."""
 
     types: dict[_Name, _Count] = {}
-    names: dict[_Name, _Count] = {}
+    names: dict[_Name, _Count] | None = {}
+    """Numbers of texts by name, or None if there are too many names to be labels."""
     lengths: tuple[_Count, _Count] | None = None
     """Smallest and largest length of the lists."""
     keys: dict[_Name, Kind] = {}
@@ -60,14 +61,9 @@ class Kind(msgspec.Struct, omit_defaults=True):
             self.lengths = min(lengths), max(lengths)
             for part in value:
                 self.keys.setdefault("[]", Kind()).add(part, key)
-        elif isinstance(value, str) and key not in _MASKS and _NAME.fullmatch(value):
+        elif isinstance(value, str) and self.names is not None and key not in _MASKS and _NAME.fullmatch(value):
             self.names[without_digits(value)] = self.names.get(without_digits(value), 0) + 1
-
-    def prune(self) -> None:
-        """Remove the names of keys that have too many, because these are not labels."""
-        self.names = self.names if len(self.names) <= _MOST_NAMES else {}
-        for kind in self.keys.values():
-            kind.prune()
+            self.names = self.names if len(self.names) <= _MOST_NAMES else None
 
     def total(self) -> int:
         """Return the number of described values."""
@@ -130,7 +126,6 @@ def fingerprint(root: str | Path) -> Fingerprint:
                 frames = content.get("labels", content.get("images")) if isinstance(content, dict) else ()
                 folder.labels[name] = _numbering(frames if isinstance(frames, dict | list) else ())
         folder.files = {end: {"count": len(own), "bytes": [min(own), max(own)]} for end, own in sizes.items()}
-        folder.keys.prune()
         if names:
             folders[Path(path).relative_to(root).as_posix()] = folder
     return Fingerprint(folders)

@@ -50,14 +50,12 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
     from jrdb_avr.queries.files import new_folder
 
-    if options["like"] is not None:
-        with new_folder(folder) as made:
-            note(f"{folder}: {write_like(options['like'], made)}")
-        return
     sizes = FULL_SCALE if options["full_scale"] else [(options["frames"], options["people"])] * 5
     sizes = list(islice(cycle(sizes), options["sequences"] or len(sizes)))
     done = []
     with new_folder(folder) as made, progress_bar() as progress:
+        if options["like"] is not None:
+            return note(f"{folder}: {write_like(options['like'], made)}")
         orders = plan(made, sizes, seed, "none" if options["no_images"] or options["full_scale"] else images)
         for written in write(orders, workers):
             done.append(written)

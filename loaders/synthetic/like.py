@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 
@@ -29,13 +29,8 @@ _INDEXED: Final = ("id", "label_id", "tracking_id", "floor_id", "cluster_ID", "f
 """Keys with the index of the record as number. A few other keys have other numbers, and the rest has 1."""
 _SCALARS: Final[dict[str, Any]] = {"int": int, "float": float, "bool": lambda _: False, "NoneType": lambda _: None}
 
-
-class _Place(NamedTuple):
-    """Place of a value: name and frames of its file, and the index of its record in its frame or list, if any."""
-
-    file: str
-    frames: list[int]
-    item: int | None = None
+_Place = tuple[str, list[int], int | None]
+"""Name and frames of the file of a value, and the index of its record in its frame or list, if any."""
 
 
 def write_like(file: Path, root: Path) -> str:
@@ -71,14 +66,14 @@ def _write_folder(path: str, folder: Folder, maker: _Maker, root: Path) -> None:
     target.mkdir(parents=True, exist_ok=True)
     if target.name == CALIBRATION:
         shutil.copytree(CALIBRATION_FILES, target, dirs_exist_ok=True)
-    ending = next((ending for ending in folder.files if FRAME.fullmatch(f"0{ending}")), "")
     # Pictures are empty files, and only those that `load` reads.
     for frame in maker.frames(folder.frames if target.parent.name == Path(IMAGE_DIRS[0]).name else []):
-        (target / f"{frame:06}{ending}").touch()
-    places = {n: _Place(Path(n).stem, maker.frames(span)) for n, span in folder.labels.items() if span != "not JSON"}
-    texts = map(msgspec.json.encode, maker.make(folder.keys, [*places.values()], ""))
+        (target / f"{frame:06}{min(folder.files, default='')}").touch()
+    spans = {name: span for name, span in folder.labels.items() if span != "not JSON"}
+    places: list[_Place] = [(Path(name).stem, maker.frames(span), None) for name, span in spans.items()]
+    texts = map(msgspec.json.encode, maker.make(folder.keys, places, ""))
     for name in folder.labels:
-        (target / name).write_bytes(next(texts) if name in places else b"{")
+        (target / name).write_bytes(next(texts) if name in spans else b"{")
 
 
 class _Maker:
@@ -88,26 +83,24 @@ class _Maker:
         self.share = share
         self._left = _MOST_VALUES
 
-    def spend(self, values: int) -> None:
-        """Raise InputError if no values are left."""
-        self._left -= values
-        if self._left < 0:
-            raise InputError(f"the fingerprint describes more than {_MOST_VALUES:,} values beside its records")
-
     def frames(self, span: Any) -> list[int]:
         """Return frames with the given first frame, last frame and count, at equal distances but for missing frames."""
         first, last, count = span if len(span) == 3 else (0, 0, 0)
         # To create a file takes as long as a few values.
-        self.spend(4 * (count + 1))
-        if count > last - first + 1:
-            raise InputError(f"{span} in a fingerprint is not first frame, last frame and number of frames")
+        self._left -= 4 * (count + 1)
+        if count > last - first + 1 or self._left < 0:
+            raise InputError(
+                f"{span} in a fingerprint is not first frame, last frame and number of frames, or too many"
+            )
         frames = [*range(first, last, (last - first) // max(count - 1, 1) or 1), last]
         del frames[1 : 1 + len(frames) - count]
         return frames if count else []
 
     def make(self, kind: Kind, places: list[_Place], key: str) -> list[Any]:
         """Return the values of a key at the given places."""
-        self.spend(len(places))
+        self._left -= len(places)
+        if self._left < 0:
+            raise InputError(f"the fingerprint describes more than {_MOST_VALUES:,} values beside its records")
         makers = {"dict": self._dicts, "list": self._lists, "str": _texts}
         made: list[Any] = []
         for name, count in _split(kind.types, len(places)):
@@ -124,8 +117,10 @@ class _Maker:
             # A key begins at the object at which the key before has ended, so that all get about as many keys.
             slots = sorted(((start + j) % size, j // size) for j in range(count))
             start += count
-            if FRAME.fullmatch(name) and any(place.frames for place in places):
-                slots = list(islice(((i, n) for i, place in enumerate(places) for n in place.frames), self._left + 1))
+            if FRAME.fullmatch(name) and any(frames for _, frames, _ in places):
+                slots = list(
+                    islice(((i, n) for i, (_, frames, _) in enumerate(places) for n in frames), self._left + 1)
+                )
             for (i, number), value in zip(slots, self.make(child, [places[i] for i, _ in slots], name), strict=True):
                 dicts[i][_renumber(name, number)] = value
         return dicts
@@ -135,16 +130,19 @@ class _Maker:
         child = kind.keys.get("[]", Kind())
         share = self.share if FRAME.fullmatch(key) or key == "annotations" else 1
         total = min(int(sum(child.types.values()) * len(lists) / max(kind.types["list"], 1) * share), self._left + 1)
-        lengths = _lengths(kind.lengths or (0, 0), len(lists), total)
+        # The first list has the smallest length, the last has the largest, and the others have about equal lengths.
+        ends = [*kind.lengths] if kind.lengths and len(lists) > 1 and sum(kind.lengths) <= total else []
+        rest, total = len(lists) - len(ends), total - sum(ends)
+        lengths = ends[:1] + [(i + 1) * total // rest - i * total // rest for i in range(rest)] + ends[1:]
         if key == "images":
-            lengths = [len(place.frames) if place.item is None else 0 for place in places]
+            lengths = [len(frames) if index is None else 0 for _, frames, index in places]
         slots = sorted((j, i) for i, length in enumerate(lengths) for j in range(length))
-        inner = [places[i] if places[i].item is not None else _Place(*places[i][:2], j) for j, i in slots]
+        inner = [(*places[i][:2], j if places[i][2] is None else places[i][2]) for j, i in slots]
         for (_, i), item in zip(slots, self.make(child, inner, key), strict=True):
             lists[i].append(item)
-        for i, place in enumerate(places if key in ("box", "bbox") else ()):
+        for i, (_, _, index) in enumerate(places if key in ("box", "bbox") else ()):
             # All boxes of a person are at about the same column, and no two boxes of a folder are equal.
-            box = (37 * (place.item or 0) % 3600, 50 + 2 * (i % 97), 40 + i // 4850 % 60, 60 + i // 97 % 50)
+            box = (37 * (index or 0) % 3600, 50 + 2 * (i % 97), 40 + i // 4850 % 60, 60 + i // 97 % 50)
             lists[i][:4] = [
                 type(x)(n) if isinstance(x, int | float) else x for x, n in zip(lists[i], box, strict=False)
             ]
@@ -160,30 +158,24 @@ def _split(counts: dict[str, int], total: int) -> Iterator[tuple[str, int]]:
         total, whole = total - share, whole - count
 
 
-def _lengths(bounds: tuple[int, int], count: int, total: int) -> list[int]:
-    """Return lengths of lists that sum to a total: the largest, then about equal ones, then the smallest."""
-    ends = [bounds[1], bounds[0]] if count > 1 and sum(bounds) <= total else []
-    rest, total = count - len(ends), total - sum(ends)
-    return ends[:1] + [(i + 1) * total // rest - i * total // rest for i in range(rest)] + ends[1:]
-
-
 def _number(key: str, place: _Place) -> float:
-    item, frames = place.item or 0, len(place.frames) or 1
-    numbers = {"image_id": item % frames, "track_id": item // frames, "timestamp": item / 15}
-    return numbers.get(key, item if key in _INDEXED else 1)
+    index, frames = place[2] or 0, len(place[1]) or 1
+    numbers = {"image_id": index % frames, "track_id": index // frames, "timestamp": index / 15}
+    return numbers.get(key, index if key in _INDEXED else 1)
 
 
 def _texts(kind: Kind, places: list[_Place], key: str) -> list[str]:
     """Return names with the numbers of people or frames, or numbers if there are no names."""
-    unnamed = kind.types["str"] - sum(kind.names.values())
-    names = [name for name, count in _split(kind.names | {"": unnamed}, len(places)) for _ in range(count)]
-    for i, place in enumerate(places):
+    listed = kind.names or {}
+    counts = listed | {"": kind.types["str"] - sum(listed.values())}
+    names = [name for name, count in _split(counts, len(places)) for _ in range(count)]
+    for i, (file, frames, index) in enumerate(places):
         # A person is no partner of itself. A name with too many digits begins with zeros, which `load` ignores.
-        number = (place.item or 0) ^ (key == "pair")
-        if key == "file_name" and place.frames:
-            sequence, number = without_digits(place.file), place.frames[number % len(place.frames)]
-            names[i] = next((name for name in kind.names if sequence in name), names[i]).replace(sequence, place.file)
-        names[i] = _renumber(names[i], number) if names[i] else f"{_number(key, place):.0f}"
+        number = (index or 0) ^ (key == "pair")
+        if key == "file_name" and frames:
+            sequence, number = without_digits(file), frames[number % len(frames)]
+            names[i] = next((name for name in listed if sequence in name), names[i]).replace(sequence, file)
+        names[i] = _renumber(names[i], number) if names[i] else f"{_number(key, places[i]):.0f}"
     return names
 
 
