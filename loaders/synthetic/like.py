@@ -89,9 +89,7 @@ class _Maker:
         # To create a file takes as long as a few values.
         self._left -= 4 * (count + 1)
         if count > last - first + 1 or self._left < 0:
-            raise InputError(
-                f"{span} in a fingerprint is not first frame, last frame and number of frames, or too many"
-            )
+            raise InputError(f"{span} in a fingerprint is not first, last and number of frames, or has too many")
         frames = [*range(first, last, (last - first) // max(count - 1, 1) or 1), last]
         del frames[1 : 1 + len(frames) - count]
         return frames if count else []
@@ -118,9 +116,8 @@ class _Maker:
             slots = sorted(((start + j) % size, j // size) for j in range(count))
             start += count
             if FRAME.fullmatch(name) and any(frames for _, frames, _ in places):
-                slots = list(
-                    islice(((i, n) for i, (_, frames, _) in enumerate(places) for n in frames), self._left + 1)
-                )
+                pairs = ((i, frame) for i, (_, frames, _) in enumerate(places) for frame in frames)
+                slots = list(islice(pairs, self._left + 1))
             for (i, number), value in zip(slots, self.make(child, [places[i] for i, _ in slots], name), strict=True):
                 dicts[i][_renumber(name, number)] = value
         return dicts
@@ -143,9 +140,8 @@ class _Maker:
         for i, (_, _, index) in enumerate(places if key in ("box", "bbox") else ()):
             # All boxes of a person are at about the same column, and no two boxes of a folder are equal.
             box = (37 * (index or 0) % 3600, 50 + 2 * (i % 97), 40 + i // 4850 % 60, 60 + i // 97 % 50)
-            lists[i][:4] = [
-                type(x)(n) if isinstance(x, int | float) else x for x, n in zip(lists[i], box, strict=False)
-            ]
+            pairs = zip(lists[i], box, strict=False)
+            lists[i][:4] = [type(x)(n) if isinstance(x, int | float) else x for x, n in pairs]
         return lists
 
 
