@@ -86,13 +86,14 @@ def write_once(path: Path, data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
+def new_folder(folder: Path, mode: int = 0o777) -> Iterator[Path]:
     """Yield a temporary folder, and rename it to `folder` when the `with` block ends.
 
     If the block raises an exception, the temporary folder is removed, and `folder` does not change.
 
     Args:
         folder: Folder to create. If it exists already, it must be empty.
+        mode: Permissions of the folder, before the umask.
 
     Yields:
         The temporary folder, which is in the same parent folder as `folder`.
@@ -108,7 +109,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise InputError(f"{folder} cannot be replaced: name a new folder inside it", file=str(folder))
     with _beside(folder, folder=True) as temporary:
         yield temporary
-        temporary.chmod(0o777 & ~_umask())
+        temporary.chmod(mode & ~_umask())
         temporary.replace(folder)
 
 

@@ -70,7 +70,8 @@ def map_sequences(
     order = sorted(range(len(sequences)), key=lambda i: (-weight(sequences[i]), i))
     if isinstance(executor, str):
         return _map_on_ray(function, sequences, order, executor)
-    if executor <= 1 or len(sequences) <= 1:
+    # A daemonic process, such as a worker of multiprocessing.Pool, may start no process.
+    if executor <= 1 or len(sequences) <= 1 or multiprocessing.current_process().daemon:
         return ((i, function(sequences[i])) for i in order)
     return _map_in_processes(function, sequences, order, executor)
 
@@ -173,6 +174,8 @@ def _connect(address: str) -> Iterator[Any]:
 def run_alone(function: Callable[[], R]) -> R:
     """Call a function in a new process, so that a crash of the graph engine ends only the new process.
 
+    In a daemonic process, which may start no process, the function is called directly.
+
     Args:
         function: Function without arguments. An exception of the function is raised here.
 
@@ -182,6 +185,8 @@ def run_alone(function: Callable[[], R]) -> R:
     Raises:
         BrokenProcessPool: If the process died.
     """
+    if multiprocessing.current_process().daemon:
+        return function()
     with ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=_become_quiet_worker) as pool:
         with _without_main():
             future = pool.submit(function)

@@ -34,7 +34,7 @@ def export_graph(store: Store, folder: Path) -> list[dict[str, Any]]:
         InputError: If the folder is not empty.
     """
     entries: list[dict[str, Any]] = []
-    with Graph.open(store.graph_path, read_only=True) as graph, new_folder(folder) as made:
+    with Graph.open(store.graph_path, read_only=True) as graph, new_folder(folder, 0o700) as made:
         tables = [table for table in graph_tables() if table.name in graph.tables()]
         keys = {table.name: next(iter(table.columns)) for table in tables if table.ends is None}
 

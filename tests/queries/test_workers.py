@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 import time
+from multiprocessing import current_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 
-from jrdb_avr.queries.workers import map_sequences
+from jrdb_avr.queries.workers import map_sequences, run_alone
 from jrdb_avr.schema.errors import InputError, StoreError
 
 
@@ -46,6 +47,12 @@ def test_an_error_of_a_shard_is_raised_as_it_is(workers):
 def test_a_dead_worker_is_an_error_that_says_what_to_do():
     with pytest.raises(StoreError, match="fewer --workers"):
         list(map_sequences(die, [1, 2], 2, weight=float))
+
+
+def test_a_daemonic_process_starts_no_process(monkeypatch):
+    monkeypatch.setattr(current_process(), "daemon", True)
+    assert sorted(map_sequences(lambda value: value, [2, 1], 2, float)) == [(0, 2), (1, 1)]
+    assert run_alone(os.getpid) == os.getpid()
 
 
 @pytest.mark.parametrize("given", [True, False])

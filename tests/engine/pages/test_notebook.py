@@ -86,6 +86,7 @@ def test_the_graph_loads_into_another_engine(small_demo, tmp_path):
     store = jrdb_avr.Store(small_demo.folder / "store")
     code, _, err = run("export", "--store", store.path, "--graph", tmp_path / "G")
     assert code == 0, err
+    assert (tmp_path / "G").stat().st_mode & 0o777 == 0o700, "it holds the annotations"
     with Graph.open(store.graph_path, read_only=True) as graph:
         expected = graph.count_rows()
     counts = dict.fromkeys(expected, 0)
