@@ -9,14 +9,17 @@ for page in api commands tables; do
   python -m jrdb_avr.engine.commands.page "$page" > "docs/$page.md"
 done
 python docs/draw_definitions.py > docs/definitions.svg
-[ $# = 0 ] && exit
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
+python tests/benchmarks/bench_usage.py --out "$work/usage" > "$work/usage.toml"
+mv "$work/usage.toml" engine/run/usage.toml
+[ $# = 0 ] && exit
+
 time jrdb-avr load "$1" --store "$work/store"
 time jrdb-avr generate --store "$work/store" --profile paper --workers 1
 time jrdb-avr validate --store "$work/store" --replay
-for benchmark in load generate observe score report calls world; do
+for benchmark in load generate lite observe score report calls world; do
   time python "tests/benchmarks/bench_$benchmark.py"
 done
-python tests/benchmarks/bench_agent.py "$1" --questions 60 30 --seeds 1
+python tests/benchmarks/bench_agent.py "$1"
