@@ -111,9 +111,7 @@ class Run(Journal):
             # A custom method's settings may have 20 levels. Two are around them.
             check_size(manifest, 22)
         except (ValueError, TypeError) as error:
-            raise InputError(
-                f"run {self.run_id!r} cannot be stored: {error}; change the method", field="method"
-            ) from None
+            raise InputError(f"run {self.run_id!r} cannot be stored: {error}; change it", field="method") from None
         check_manifest(self.store, manifest)
         self.callback(self._finish_stopped)
         return manifest

@@ -358,6 +358,7 @@ def test_a_reply_that_never_begins_is_given_up(said):
         (404, "no", "--base-url"),
         (422, "no", "no$"),
         (400, "Your credit balance is too low", "no credit"),
+        (429, "余额不足或无可用资源包", "no credit.*--resume"),
         (400, "Unrecognized request argument supplied: chat_template_kwargs", "--thinking template"),
         (400, "This model only supports stream mode", "reply without a stream"),
     ],
@@ -375,6 +376,8 @@ def test_a_refusal_is_not_tried_again_and_says_what_to_do(code, reason, remedy):
     [
         (400, {"message": "The response was filtered due to the prompt", "code": "content_filter"}),
         (400, {"message": "no", "code": "data_inspection_failed"}),
+        (400, {"message": "considered high risk", "type": "content_filter"}),
+        (400, {"message": "生成内容可能包含不安全或敏感内容", "code": "1301"}),
         (400, {"message": "Content Exists Risk", "code": "invalid_request_error"}),
         (403, {"message": "The model requires moderation. Your input was flagged for violence", "code": 403}),
     ],

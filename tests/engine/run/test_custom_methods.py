@@ -72,7 +72,7 @@ def test_a_run_is_resumed_under_equal_settings_only(store, tmp_path):
         ("'m' * 200", "nested(20)", ""),
         ("'m' * 201", "{}", "more than 200 characters"),
         ("'m'", "{'a': 'x' * 70_000}", "more than 64 KB"),
-        (r"'m\ud800'", "{}", "surrogates not allowed; change the method"),
+        (r"'m\ud800'", "{}", "surrogates not allowed; change it"),
         ("'m'", "{1: 2}", "str keys"),
         ("'m'", "{'a': object()}", "object is unsupported"),
         ("'m'", "nested(21)", "nested too deeply"),
