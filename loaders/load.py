@@ -373,5 +373,5 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
     """Return the error message for a root if no sequence could be loaded. The message states the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
-    why = f"; first: {first.reason}" if first else ""
+    why = f"; first: {first.file}: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

@@ -133,6 +133,12 @@ def test_empty_and_unreadable_folders_are_said(tmp_path, monkeypatch):
     assert set(root.sequences[0].labels) == {"2d"}
 
 
+def test_the_error_for_a_root_without_a_readable_folder_names_the_folder(tmp_path):
+    (tmp_path / "labels_3d").write_text("a file")
+    result = CliRunner().invoke(command, [str(tmp_path), "--store", str(tmp_path / "store"), "--workers", "1"])
+    assert result.exit_code == 1 and "; first: labels_3d: folder cannot be read" in str(result.exception)
+
+
 # -- awkward cases of bringing layers together ---------------------------------------------------------------------
 
 

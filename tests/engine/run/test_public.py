@@ -25,6 +25,7 @@ from jrdb_avr.engine.report.bundle import write_bundle
 from jrdb_avr.engine.report.comparison import diff
 from jrdb_avr.engine.report.leaderboard import leaderboard, score_bundles
 from jrdb_avr.engine.run.public import export_public, strip_metadata
+from jrdb_avr.engine.validate.references import read_references
 from jrdb_avr.queries.opaque import opaque_ids, opaque_names
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
@@ -134,6 +135,17 @@ def test_a_file_that_is_no_picture_is_not_copied(full, tmp_path):
     assert code == 0 and f"{len(table)} of {2 * len(table)} sequences have no panorama" in err
     shutil.rmtree(images)
     assert "no panorama" in refusal(*export, tmp_path / "other") and not (tmp_path / "other").exists()
+
+
+def test_a_public_store_has_no_guessers_below_its_runs(full, tmp_path):
+    export_public(full, tmp_path / "public")
+    public = Store(tmp_path / "public")
+    assert len(read_references(full)) == 3 and read_references(public) == []
+    shutil.copytree(full.path / "runs", public.path / "runs", dirs_exist_ok=True)
+    for options in ([], ["--paper", "--as", "Qwen3.5 9B"], ["--html", tmp_path / "report.html"]):
+        code, out, err = run("report", "--store", public.path, *options)
+        assert (code, out, err.count("\n")) == (1, "", 1) and "a public store has no answers" in err
+    assert not (tmp_path / "report.html").exists()
 
 
 def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):

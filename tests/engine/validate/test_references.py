@@ -78,6 +78,29 @@ def test_every_format_has_the_three_rows_below_the_runs(store, tmp_path):
     assert all(f'<th scope="row">{name}' in page for name in NAMES) and "<tfoot>" in page
 
 
+def as_papers_agent(store):
+    # Columns of the terminal are as wide as the longest name needs.
+    (store.path / "runs/r").rename(store.path / "runs/of-the-agent")
+    path = store.path / "runs/of-the-agent/run.json"
+    own = {"run_id": "of-the-agent", "method": "agent", "model": "Qwen/Qwen3.5-9B"}
+    path.write_text(json.dumps(json.loads(path.read_text()) | own))
+
+
+@pytest.mark.parametrize("form", ["", "--markdown", "--latex", "--html"])
+def test_the_papers_tables_of_scores_have_the_three_rows_in_every_format(store, tmp_path, form):
+    as_papers_agent(store)
+    page = tmp_path / "report.html"
+    options = [form, str(page)] if form == "--html" else [form] if form else []
+    arguments = ["--store", str(store.path), "--paper", "--as", "Qwen3.5 9B", *options]
+    result = CliRunner().invoke(report_command, arguments)
+    assert result.exit_code == 0, result.output
+    text = page.read_text().split('<h2 id="pairs">')[0] if form == "--html" else result.stdout
+    begins = [text.index(f"Table {number} of the paper") for number in (3, 4, 5, 6)]
+    parts = [text[begin:end] for begin, end in zip(begins, [*begins[1:], None], strict=True)]
+    assert [[name in part for name in NAMES] for part in parts] == [[True] * 3, [True] * 3, [False] * 3, [True] * 3]
+    assert form != "--html" or '<th class="num">paper answer</th>' in parts[0]
+
+
 def test_a_report_without_references_and_a_store_without_intervals_have_none(store, tmp_path):
     assert [row["run"] for row in report(store).table()] == ["r"]
     (store.path / "intervals").rename(tmp_path / "intervals")
