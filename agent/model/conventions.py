@@ -35,15 +35,7 @@ _CHANNELS: Final = (("<|channel>thought", "<channel|>"), ("<|channel|>analysis<|
 """Delimiters of thinking: of Qwen and others, of Kimi, Magistral and Command, and of Gemma and gpt-oss."""
 
 _HEADS: Final = ("<|start|>assistant", "<|channel|>final", "<|constrain|>json", "<|message|>", "<|START_RESPONSE|>")
-_BOXES: Final = (
-    "<|begin_of_box|>",
-    "<|end_of_box|>",
-    "<answer>",
-    "</answer>",
-    "<response>",
-    "</response>",
-    "<|END_RESPONSE|>",
-)
+_BOXES: Final = ("<|begin_of_box|>", "<|end_of_box|>", "<answer>", "</answer>", "<|END_RESPONSE|>")
 _ENDS: Final = ("<|return|>", "<|end|>", "<|im_end|>", "<|eot_id|>", "<|endoftext|>", "<end_of_turn>", "</s>")
 """Delimiters around the answer: of channels, boxes, and the ends of turns."""
 
