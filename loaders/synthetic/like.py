@@ -68,7 +68,7 @@ def _write_folder(path: str, folder: Folder, maker: _Maker, root: Path) -> None:
         shutil.copytree(CALIBRATION_FILES, target, dirs_exist_ok=True)
     # Pictures are empty files, and only those that `load` reads.
     for frame in maker.frames(folder.frames if target.parent.name == Path(IMAGE_DIRS[0]).name else []):
-        (target / f"{frame:06}{min(folder.files, default='')}").touch()
+        (target / f"{frame:06}{'.jpg' if '.jpg' in folder.files else '.png'}").touch()
     spans = {name: span for name, span in folder.labels.items() if span != "not JSON"}
     places: list[_Place] = [(Path(name).stem, maker.frames(span), None) for name, span in spans.items()]
     texts = map(msgspec.json.encode, maker.make(folder.keys, places, ""))

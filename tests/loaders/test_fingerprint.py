@@ -163,18 +163,6 @@ def test_load_names_how_a_copy_differs(sample, root, tmp_path, name):
     assert text in " ".join(loaded_text(root, tmp_path / "store").split())
 
 
-@pytest.mark.parametrize("name", sorted(ALTERED.keys() - {"reversed heading", "boxes as corners"}))
-def test_an_altered_copy_has_another_fingerprint(sample, root, name):
-    def plain(folder):
-        # Sizes differ with any change.
-        return re.sub(r'"bytes":\[[0-9,]+\]', "", msgspec.json.encode(fingerprint(folder), order="sorted").decode())
-
-    before = plain(sample)
-    assert plain(root) == before
-    ALTERED[name][0](root)
-    assert plain(root) != before
-
-
 def rename_layers(root):
     shutil.rmtree(root / "labels" / "labels_3d")
     for index, folder in enumerate(sorted((root / "labels").iterdir())):
