@@ -125,7 +125,7 @@ class _Maker:
     def _lists(self, kind: Kind, places: list[_Place], key: str) -> list[Any]:
         lists: list[list[Any]] = [[] for _ in places]
         child = kind.keys.get("[]", Kind())
-        share = self.share if FRAME.fullmatch(key) or key == "annotations" else 1
+        share = self.share if FRAME.fullmatch(key) or key in ("annotations", "data") else 1
         total = min(int(sum(child.types.values()) * len(lists) / max(kind.types["list"], 1) * share), self._left + 1)
         # The first list has the smallest length, the last has the largest, and the others have about equal lengths.
         ends = [*kind.lengths] if kind.lengths and len(lists) > 1 and sum(kind.lengths) <= total else []
