@@ -6,7 +6,7 @@ import contextlib
 import functools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from numbers import Number
+from decimal import Decimal
 from typing import Any, Final
 
 import numpy as np
@@ -51,14 +51,17 @@ def crops_of_rows(
             raise InputError("crops need rows with sequence, frame, and track or x, y, w, h: return these columns")
         box = {"track": n, "clear": True, "pose": None, "cluster": None, **row}
         keys = row["frame"], row.get("track", n)
-        if row["sequence"] is None or not all(isinstance(key, Number) for key in keys):
+        if row["sequence"] is None or not all(isinstance(key, int | float) for key in keys):
             continue
         if row["sequence"] not in loaded:
             raise InputError(f"sequence {row['sequence']!a} of row {n} is not loaded")
         if not boxed:
             box |= boxes(row["sequence"]).get(keys, dict.fromkeys("xywh"))
         sides: list[Any] = [box[side] for side in "xywh"]
-        if all(isinstance(side, Number) and math.isfinite(side) for side in sides) and min(sides[2:]) > 0:
+        if (
+            all(isinstance(side, int | float | Decimal) and math.isfinite(side) for side in sides)
+            and min(sides[2:]) > 0
+        ):
             box |= zip("xywh", map(float, sides), strict=True)
             with contextlib.suppress(ObserveError):
                 seen = observer(row["sequence"], row["frame"], center_angle(box["x"], box["w"]))
