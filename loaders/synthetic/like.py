@@ -67,10 +67,10 @@ def _write_folder(path: str, folder: Folder, maker: _Maker, root: Path) -> None:
     if target.name == CALIBRATION:
         shutil.copytree(CALIBRATION_FILES, target, dirs_exist_ok=True)
     # Pictures are empty files, and only those that `load` reads.
-    for frame in maker.frames(folder.frames if target.parent.name == Path(IMAGE_DIRS[0]).name else []):
+    for frame in maker.frames(folder.frames if target.parent.name == Path(IMAGE_DIRS[0]).name else [], 24):
         (target / f"{frame:06}{'.jpg' if '.jpg' in folder.files else '.png'}").touch()
     spans = {name: span for name, span in folder.labels.items() if span != "not JSON"}
-    places: list[_Place] = [(Path(name).stem, maker.frames(span), None) for name, span in spans.items()]
+    places: list[_Place] = [(Path(name).stem, maker.frames(span, 4), None) for name, span in spans.items()]
     texts = map(msgspec.json.encode, maker.make(folder.keys, places, ""))
     for name in folder.labels:
         (target / name).write_bytes(next(texts) if name in spans else b"{")
@@ -83,11 +83,11 @@ class _Maker:
         self.share = share
         self._left = _MOST_VALUES
 
-    def frames(self, span: Any) -> list[int]:
+    def frames(self, span: Any, values: int) -> list[int]:
         """Return frames with the given first frame, last frame and count, at equal distances but for missing frames."""
         first, last, count = span if len(span) == 3 else (0, 0, 0)
-        # To create a file takes as long as a few values.
-        self._left -= 4 * (count + 1)
+        # To write a frame takes as long as to make so many values.
+        self._left -= values * (count + 1)
         if count > last - first + 1 or self._left < 0:
             raise InputError(f"{span} in a fingerprint is not first, last and number of frames, or has too many")
         frames = [*range(first, last, (last - first) // max(count - 1, 1) or 1), last]
