@@ -10,17 +10,16 @@ import contextlib
 import fnmatch
 import os
 import re
-from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
 from jrdb_avr.loaders.root import LABEL_DIRS, ONE_CAMERA
 from jrdb_avr.schema.errors import InputError
 
-_FRAME: Final = re.compile(r"([0-9]+)\.(jpg|pcd|png|bin)")
+FRAME: Final = re.compile(r"(?:.*/)?([0-9]{1,9})(\.(?:jpg|pcd|png|bin))")
 _NAME: Final = re.compile(r"[A-Za-z][\w /:.-]{0,59}")
 """Pattern of a label name. Codes of masks and other texts are counted, but not written."""
 _MASKS: Final = {"segmentation", "counts"}
@@ -34,51 +33,76 @@ _KEYS: Final = {
 """Key that the files of each layer have. A file may have keys of later layers, too."""
 
 
-class Kind:
+_Count = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
+_Name = Annotated[str, msgspec.Meta(max_length=60)]
+_Numbering = Annotated[list[Annotated[int, msgspec.Meta(ge=0, lt=10**9)]], msgspec.Meta(max_length=3)]
+
+
+class Kind(msgspec.Struct, omit_defaults=True):
     """Merged description of all values under one key."""
 
-    def __init__(self) -> None:
-        self.types: Counter[str] = Counter()
-        self.names: Counter[str] = Counter()
-        self.lengths: set[int] = set()
-        self.keys: dict[str, Kind] = {}
+    types: dict[_Name, _Count] = {}
+    names: dict[_Name, _Count] | None = {}
+    """Numbers of texts by name, or None if there are too many names to be labels."""
+    lengths: tuple[_Count, _Count] | None = None
+    """Smallest and largest length of the lists."""
+    keys: dict[_Name, Kind] = {}
+    """Descriptions by key of the objects. The key of items of lists is `[]`."""
 
     def add(self, value: Any, key: str = "") -> None:
         """Add a decoded JSON value."""
-        self.types[type(value).__name__] += 1
+        name = type(value).__name__
+        self.types[name] = self.types.get(name, 0) + 1
         if isinstance(value, dict):
             for name, part in value.items():
-                self.keys.setdefault(_without_digits(name), Kind()).add(part, name)
+                self.keys.setdefault(without_digits(name), Kind()).add(part, name)
         elif isinstance(value, list):
-            self.lengths.add(len(value))
+            lengths = *(self.lengths or ()), len(value)
+            self.lengths = min(lengths), max(lengths)
             for part in value:
                 self.keys.setdefault("[]", Kind()).add(part, key)
-        elif isinstance(value, str) and key not in _MASKS and _NAME.fullmatch(value):
-            self.names[_without_digits(value)] += 1
+        elif isinstance(value, str) and self.names is not None and key not in _MASKS and _NAME.fullmatch(value):
+            self.names[without_digits(value)] = self.names.get(without_digits(value), 0) + 1
+            self.names = self.names if len(self.names) <= _MOST_NAMES else None
 
-    def describe(self) -> dict[str, Any]:
-        """Return the description as JSON values."""
-        parts: dict[str, Any] = {"types": dict(sorted(self.types.items()))}
-        if self.names and len(self.names) <= _MOST_NAMES:
-            parts["names"] = dict(sorted(self.names.items()))
-        if self.lengths:
-            parts["lengths"] = [min(self.lengths), max(self.lengths)]
-        return parts | {name: kind.describe() for name, kind in sorted(self.keys.items())}
+    def total(self) -> int:
+        """Return the number of described values."""
+        return sum(self.types.values()) + sum(kind.total() for kind in self.keys.values())
 
 
-def _without_digits(text: str) -> str:
+class Folder(msgspec.Struct):
+    """Description of the files of a folder."""
+
+    frames: _Numbering
+    """First frame, last frame and number of frames of pictures, or nothing."""
+    labels: dict[str, _Numbering | Literal["not JSON"]] = {}
+    """The same of each label file."""
+    files: dict[str, Any] = {}
+    """Number and sizes of files by ending."""
+    keys: Kind = msgspec.field(default_factory=Kind)
+    """Merged description of all label files."""
+
+
+class Fingerprint(msgspec.Struct, tag_field="format", tag=2):
+    """Description of each folder with files, by its path below the root."""
+
+    folders: dict[Annotated[str, msgspec.Meta(max_length=1000)], Folder]
+
+
+def without_digits(text: str) -> str:
+    """Return the first 60 characters of a text, with 0 for each digit."""
     return re.sub(r"[0-9]", "0", text)[:60]
 
 
-def fingerprint(root: str | Path) -> dict[str, Any]:
+def fingerprint(root: str | Path) -> Fingerprint:
     """Describe the files of a JRDB root.
 
     Args:
         root: Folder of the root.
 
     Returns:
-        A description of each folder, by its path below the root: number and sizes of files by ending, first and last
-        frame and number of frames of pictures and of label files, and the merged keys of label files.
+        A description of each folder: number and sizes of files by ending, first and last frame and number of frames of
+        pictures and of label files, and the merged keys of label files.
 
     Raises:
         InputError: If the root is missing.
@@ -86,31 +110,31 @@ def fingerprint(root: str | Path) -> dict[str, Any]:
     """
     if not Path(root).is_dir():
         raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
-    folders: dict[str, Any] = {}
+    folders: dict[str, Folder] = {}
     for path, _, names in sorted(os.walk(root)):
-        folder, kind, sizes = Path(path), Kind(), dict[str, list[int]]()
-        entry: dict[str, Any] = {"frames": _numbering(names), "labels": {}}
+        folder, sizes = Folder(_numbering(names)), dict[str, list[int]]()
         for name in sorted(names):
-            file = folder / name
+            file = Path(path, name)
             sizes.setdefault(file.suffix, []).append(file.stat().st_size)
             if file.suffix.lower() == ".json":
                 try:
                     content = msgspec.json.decode(file.read_bytes())
                 except (msgspec.DecodeError, RecursionError):
-                    entry["labels"][name] = "not JSON"
+                    folder.labels[name] = "not JSON"
                     continue
-                kind.add(content)
-                labels = content.get("labels") if isinstance(content, dict) else None
-                entry["labels"][name] = _numbering(labels if isinstance(labels, dict) else ())
-        entry["files"] = {end: {"count": len(own), "bytes": [min(own), max(own)]} for end, own in sorted(sizes.items())}
+                folder.keys.add(content)
+                frames = content.get("labels", content.get("images")) if isinstance(content, dict) else ()
+                folder.labels[name] = _numbering(frames if isinstance(frames, dict | list) else ())
+        folder.files = {end: {"count": len(own), "bytes": [min(own), max(own)]} for end, own in sizes.items()}
         if names:
-            folders[folder.relative_to(root).as_posix()] = entry | {"keys": kind.describe()}
-    return {"format": 1, "folders": folders}
+            folders[Path(path).relative_to(root).as_posix()] = folder
+    return Fingerprint(folders)
 
 
-def _numbering(names: Any) -> list[int]:
-    """Return the first frame, the last frame and the number of frames of names such as `000000.jpg`, or nothing."""
-    frames = sorted(int(match[1]) for name in names if (match := _FRAME.fullmatch(name)))
+def _numbering(names: Iterable[Any]) -> list[int]:
+    """Return first frame, last frame and number of frames of file names, keys of `labels` or images, or nothing."""
+    texts = (str(name.get("file_name") if isinstance(name, dict) else name) for name in names)
+    frames = sorted(int(match[1]) for text in texts if (match := FRAME.fullmatch(text)))
     return [frames[0], frames[-1], len(frames)] if frames else []
 
 

@@ -76,7 +76,7 @@ def odd_values(layer: str, path: str | Path) -> Iterator[str]:
         parts = [kind.keys["[]"]]
         for name in key.split("."):
             parts = [child for part in parts for n, child in part.keys.items() if name in (n, "*")]
-        types, shown = sum((part.types for part in parts), Counter[str]()), key.partition(".[]")[0].removesuffix(".*")
+        types, shown = sum((Counter(x.types) for x in parts), Counter()), key.partition(".[]")[0].removesuffix(".*")
         if not types:
             yield f"no {shown}"
         elif types.most_common(1)[0][0] not in usual.split():

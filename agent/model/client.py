@@ -45,11 +45,11 @@ _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _BUSY: Final = (429, 498, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
-_NO_CREDIT: Final = re.compile(r"(?i)insufficient_quota|insufficient (balance|credit|fund)|credit balance|arrearage")
+_NO_CREDIT: Final = re.compile(r"(?i)current_quota|insufficient.(quota|balance|credit|fund)|credit balance|arrear|余额")
 """Codes and reasons of a refusal if the account has no credit left, so that waiting does not help."""
 _FILTERED: Final = re.compile(
     r"(?is)(?!.*\b(account|suspended)\b).*(content[ _-]?(filter|management|policy|exists risk)|data_?inspection_?failed"
-    r"|sensitive_?content|moderation|responsible_?ai|(input|prompt|request) (was |is )?(flagged|blocked))"
+    r"|sensitive_?content|moderation|responsible_?ai|(input|prompt|request) (was |is )?(flagged|blocked)|敏感)"
 )
 """Codes and reasons of a refusal by a content filter."""
 _REMEDIES: Final = {
@@ -320,7 +320,7 @@ class Client:
         stated = f"{error.code} {error.reason}"
         # After a refusal for want of credit or of a valid key, the next question would be refused for the same reason.
         if error.status == 402 or _NO_CREDIT.search(stated):
-            return RunStoppedError(f"{self.base_url}: {reason}; the key's account has no credit left")
+            return RunStoppedError(f"{self.base_url}: {reason}; no credit is left: pay, then run again with --resume")
         busy = error.status in _BUSY
         # Time-outs, conflicts and failed dependencies may be gone at the next attempt, as errors of the server may.
         if busy or error.status >= 500 or error.status in (408, 409, 424, 425, 499):

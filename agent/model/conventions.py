@@ -29,13 +29,13 @@ TOLERANCE: Final = 0.02
 CONTRACT_KEY: Final = "bbox"
 
 
-_TAGS: Final = tuple((f"<{tag}>", f"</{tag}>") for tag in ("think", "thinking", "thought", "seed:think"))
+_TAGS: Final = tuple((f"<{tag}>", f"</{tag}>") for tag in ("think", "thinking", "thought", "reasoning", "seed:think"))
 _MARKS: Final = (("◁think▷", "◁/think▷"), ("[THINK]", "[/THINK]"), ("<|START_THINKING|>", "<|END_THINKING|>"))
 _CHANNELS: Final = (("<|channel>thought", "<channel|>"), ("<|channel|>analysis<|message|>", "<|end|>"))
 """Delimiters of thinking: of Qwen and others, of Kimi, Magistral and Command, and of Gemma and gpt-oss."""
 
-_HEADS: Final = ("<|start|>assistant", "<|channel|>final<|message|>", "<|START_RESPONSE|>", "<|END_RESPONSE|>")
-_BOXES: Final = ("<|begin_of_box|>", "<|end_of_box|>", "<answer>", "</answer>")
+_HEADS: Final = ("<|start|>assistant", "<|channel|>final", "<|constrain|>json", "<|message|>", "<|START_RESPONSE|>")
+_BOXES: Final = ("<|begin_of_box|>", "<|end_of_box|>", "<answer>", "</answer>", "<|END_RESPONSE|>")
 _ENDS: Final = ("<|return|>", "<|end|>", "<|im_end|>", "<|eot_id|>", "<|endoftext|>", "<end_of_turn>", "</s>")
 """Delimiters around the answer: of channels, boxes, and the ends of turns."""
 

@@ -156,7 +156,7 @@ def _reason(body: object) -> tuple[str | None, object]:
             case {"msg": str(fault), "loc": [*path]}:
                 body = f"{'.'.join(map(str, path))}: {fault}"
             case dict():
-                code = body.get("code") if code is None else code
+                code = (body.get("code") or body.get("type")) if code is None else code
                 nested = [body.get(key) for key in ("error", "message", "detail", "msg")]
                 body = next((value for value in nested if value and isinstance(value, str | list | dict)), None)
             case _:

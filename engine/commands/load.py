@@ -125,7 +125,7 @@ def _describe(root: Path, file: Path) -> None:
     from jrdb_avr.loaders.fingerprint import fingerprint
     from jrdb_avr.queries.files import write_bytes
 
-    write_bytes(file, msgspec.json.format(msgspec.json.encode(fingerprint(root)), indent=1) + b"\n")
+    write_bytes(file, msgspec.json.format(msgspec.json.encode(fingerprint(root), order="sorted"), indent=1) + b"\n")
     note(f"wrote {file}: keys, types, counts and frame numbers of {root}, without annotations")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from jrdb_avr.engine.commands._options import form_option, workers_option
+from jrdb_avr.engine.commands._options import FILE, form_option, workers_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 
@@ -16,7 +16,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--sequences", type=click.IntRange(1, 200), help="Number of sequences (default: 5; 27 at --full-scale).")
 @click.option(
-    "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Number of frames per sequence."
+    "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames per sequence."
 )
 @click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="Number of people in view.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the synthetic data.")
@@ -28,9 +28,8 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     show_default=True,
     help="Frames that get a panorama. 'changes': keyframes, and the frames just before and just after a label changes.",
 )
-@click.option(
-    "--full-scale", is_flag=True, help="Write sequences as large as those of the JRDB test split, without panoramas."
-)
+@click.option("--full-scale", is_flag=True, help="Write sequences as large as in JRDB's test split, without panoramas.")
+@click.option("--like", type=FILE, help="Write what this file of 'load --fingerprint' describes. Ignore other options.")
 @workers_option
 @form_option
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
@@ -38,24 +37,29 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
 
     The data are label files and panoramas that show drawn people. The default size is 5 sequences of 1,050 frames.
 
+    --like writes a root with the folders, files, keys, types, label names and frame numbers of a fingerprint. Numbers
+    are invented, and pictures are empty files. 'load' reports of it what it reports of the described copy.
+
     Examples:
       jrdb-avr sample ./sample
       jrdb-avr sample ./big --full-scale
       jrdb-avr sample ./two --full-scale --sequences 2
+      jrdb-avr sample ./copy --like jrdb.json
     """
+    from jrdb_avr.loaders.synthetic.like import write_like
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
     from jrdb_avr.queries.files import new_folder
 
     sizes = FULL_SCALE if options["full_scale"] else [(options["frames"], options["people"])] * 5
     sizes = list(islice(cycle(sizes), options["sequences"] or len(sizes)))
-    images = "none" if options["no_images"] or options["full_scale"] else images
     done = []
     with new_folder(folder) as made, progress_bar() as progress:
-        orders = plan(made, sizes, seed, images)
+        if options["like"] is not None:
+            return note(f"{folder}: {write_like(options['like'], made)}")
+        orders = plan(made, sizes, seed, "none" if options["no_images"] or options["full_scale"] else images)
         for written in write(orders, workers):
             done.append(written)
             progress("sequences", len(done), len(orders))
-    done.sort(key=lambda written: written.name)
     print_rows(rows(done), title="The sample beside JRDB (synthetic)", form=form)
     if not form:
         boxes, images_made = sum(written.counts["boxes"] for written in done), sum(written.images for written in done)

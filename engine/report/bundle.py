@@ -158,12 +158,13 @@ def check_size(run: RunManifest, levels: int) -> None:
         levels: Maximum nesting depth of the settings.
 
     Raises:
-        ValueError: If the method, the model or the settings are too large.
+        ValueError: If the method, the model or the settings are too large, or hold what UTF-8 cannot hold.
+        TypeError: If the settings hold what JSON cannot hold.
     """
     _check_depth(run.settings, levels)
     if max(len(run.method), len(run.model)) > _LONGEST_NAME:
         raise ValueError(f"the name of its method or model has more than {_LONGEST_NAME} characters")
-    if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
+    if len(msgspec.json.encode((run.method, run.model, run.settings), order="sorted")) > _LARGEST_SETTINGS:
         raise ValueError(f"its settings have more than {_LARGEST_SETTINGS >> 10} KB")
 
 

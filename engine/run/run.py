@@ -93,7 +93,7 @@ class Run(Journal):
             The manifest.
 
         Raises:
-            InputError: If the name of the method or model, or the settings are too large.
+            InputError: If the name of the method or model, or the settings are too large or cannot be written as JSON.
             StoreError: If the run on disk has another method, model or setting that influences answers.
         """
         manifest = RunManifest(
@@ -110,8 +110,8 @@ class Run(Journal):
         try:
             # A custom method's settings may have 20 levels. Two are around them.
             check_size(manifest, 22)
-        except ValueError as error:
-            raise InputError(f"run {self.run_id!r} cannot be stored: {error}; shorten it", field="method") from None
+        except (ValueError, TypeError) as error:
+            raise InputError(f"run {self.run_id!r} cannot be stored: {error}; change it", field="method") from None
         check_manifest(self.store, manifest)
         self.callback(self._finish_stopped)
         return manifest

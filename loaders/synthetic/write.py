@@ -22,7 +22,7 @@ from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _PLACES: Final = ("plaza", "cafe", "hall", "library", "street", "lobby", "atrium", "campus", "market")
-_CALIBRATION: Final = Path(__file__).parent / "calibration"
+CALIBRATION_FILES: Final = Path(__file__).parent / "calibration"
 """Calibration files in the layout of the published ones. The numbers are the sample's."""
 
 FULL_SCALE: Final = (
@@ -87,7 +87,7 @@ def plan(root: Path, sizes: list[tuple[int, int]], seed: int, images: str) -> li
 def write(orders: list[Order], workers: int) -> Iterator[Written]:
     """Write the sequences. Yield each when it is done, in any order."""
     for root in {order.root for order in orders}:
-        shutil.copytree(_CALIBRATION, Path(root) / "calibration")
+        shutil.copytree(CALIBRATION_FILES, Path(root) / "calibration")
     for _, written in map_sequences(write_sequence, orders, workers, lambda order: order.frames * order.people):
         yield written
 

@@ -4,7 +4,9 @@ import json
 import re
 import shutil
 
+import msgspec
 import pytest
+from environment import copy_real, needs_real
 from processes import run
 
 from jrdb_avr.loaders.fingerprint import fingerprint
@@ -54,9 +56,13 @@ def test_no_value_of_an_annotation_is_in_a_fingerprint(root, tmp_path):
     text = file.read_text()
     for value in ("9173", "8264", "7355", "6446", "5537", "4628", "3719", "2811"):
         assert value not in text
-    keys = json.loads(text)["folders"][BOXES]["keys"]["labels"]["000000.jpg"]["[]"]
-    assert keys["box"]["lengths"] == [4, 4] and set(keys["box"]["[]"]["types"]) == {"float", "int"}
-    assert keys["attributes"]["occlusion"]["names"] and "pedestrian:0000" in keys["label_id"]["names"]
+    keys = json.loads(text)["folders"][BOXES]["keys"]
+    for key in ("labels", "000000.jpg", "[]"):
+        keys = keys["keys"][key]
+    keys = keys["keys"]
+    assert keys["box"]["lengths"] == [4, 4] and set(keys["box"]["keys"]["[]"]["types"]) == {"float", "int"}
+    keys |= keys["attributes"]["keys"]
+    assert keys["occlusion"]["names"] and "pedestrian:0000" in keys["label_id"]["names"]
 
 
 def relabel(root, folder, name_of):
@@ -157,18 +163,6 @@ def test_load_names_how_a_copy_differs(sample, root, tmp_path, name):
     assert text in " ".join(loaded_text(root, tmp_path / "store").split())
 
 
-@pytest.mark.parametrize("name", sorted(ALTERED.keys() - {"reversed heading", "boxes as corners"}))
-def test_an_altered_copy_has_another_fingerprint(sample, root, name):
-    def plain(folder):
-        # Sizes differ with any change.
-        return re.sub(r'"bytes": \[[0-9, ]+\]', "", json.dumps(fingerprint(folder)))
-
-    before = plain(sample)
-    assert plain(root) == before
-    ALTERED[name][0](root)
-    assert plain(root) != before
-
-
 def rename_layers(root):
     shutil.rmtree(root / "labels" / "labels_3d")
     for index, folder in enumerate(sorted((root / "labels").iterdir())):
@@ -199,3 +193,118 @@ def test_a_folder_of_roots_names_them(root, tmp_path):
     root.rename(tmp_path / "jrdb/splits/test_dataset")
     code, _, err = run("load", tmp_path / "jrdb", "--store", tmp_path / "store")
     assert code == 1 and err.endswith(f": give {tmp_path}/jrdb/splits/test_dataset\n"), err
+
+
+def described(root):
+    """Return the fingerprint of a root without what no root repeats: sizes of files, and files that `load` ignores."""
+    folders = msgspec.to_builtins(fingerprint(root))["folders"]
+    return {name: {key: value for key, value in part.items() if key != "files"} for name, part in folders.items()}
+
+
+def write_twin(root, twin, *options):
+    assert run("load", root, "--fingerprint", twin.with_suffix(".json"))[0] == 0
+    code, _, err = run("sample", twin, "--like", twin.with_suffix(".json"), *options)
+    assert code == 0, err
+    return twin
+
+
+NOT_DESCRIBED = {"reversed heading", "boxes as corners", "zipped layer"}
+"""Alterations that are not in a fingerprint, because it has no number and no name of a file that is no label file."""
+
+
+@pytest.mark.parametrize("name", sorted(ALTERED.keys() - NOT_DESCRIBED))
+def test_a_sample_like_a_fingerprint_reproduces_what_load_prints(root, tmp_path, name):
+    alter, text = ALTERED[name]
+    alter(root)
+    twin = write_twin(root, tmp_path / "twin")
+    assert described(twin) == described(root)
+    assert text in " ".join(loaded_text(twin, tmp_path / "store").split())
+
+
+def test_a_sample_like_a_fingerprint_has_each_layer_and_nothing_refused(root, tmp_path):
+    def rows(folder):
+        text = loaded_text(folder, tmp_path / "store")
+        assert "0 refused or skipped" in " ".join(text.split())
+        return re.findall(r"(\w+) +1 train(?: \(2022\))? +([0-9,]+)", text)
+
+    twin = write_twin(root, tmp_path / "twin")
+    assert rows(twin) == rows(root) and len(rows(root)) == 12
+    again = write_twin(root, tmp_path / "again")
+    for path in sorted(twin.rglob("*.*")):
+        assert path.read_bytes() == (again / path.relative_to(twin)).read_bytes()
+
+
+@needs_real
+def test_a_sample_like_real_annotations_has_their_keys_and_frames(tmp_path):
+    copy_real(tmp_path, 0, 3)
+    twin = write_twin(tmp_path / "root", tmp_path / "twin")
+    assert described(twin) == described(tmp_path / "root")
+
+
+def test_of_a_large_copy_a_share_of_the_records_is_written(root, tmp_path):
+    copy = msgspec.to_builtins(fingerprint(root))
+
+    def enlarge(kind):
+        kind["types"] = {name: count * 1000 for name, count in kind["types"].items()}
+        kind["names"] = {name: count * 1000 for name, count in kind.get("names", {}).items()}
+        for part in kind.get("keys", {}).values():
+            enlarge(part)
+
+    enlarge(copy["folders"][BOXES]["keys"])
+    copy["folders"][BOXES]["labels"] = {f"plaza-{k}.json": [0, 999, 1000] for k in range(10)}
+    (tmp_path / "print.json").write_text(json.dumps(copy))
+    code, _, err = run("sample", tmp_path / "twin", "--like", tmp_path / "print.json")
+    assert code == 0 and float(re.search(r"([0-9.]+)% of the records", err)[1]) < 50, err
+    made = described(tmp_path / "twin")[BOXES]
+    assert made["labels"] == copy["folders"][BOXES]["labels"]
+    assert made["keys"]["keys"]["labels"]["keys"]["000000.jpg"]["keys"]["[]"]["types"]["dict"] > 1000
+
+
+def of(labels=None, keys=None, path="labels", frames=()):
+    folder = {"frames": list(frames), "labels": labels or {}, "files": {}, "keys": keys or {"types": {}}}
+    return json.dumps({"format": 2, "folders": {path: folder}})
+
+
+def nested(depth, **leaf):
+    return {"types": {"dict": 1}, "keys": {"a": nested(depth - 1, **leaf)}} if depth else leaf
+
+
+MANY = 10**12
+DEFECTIVE = {
+    "not JSON": "{",
+    "deep": "[" * 100_000,
+    "deep keys": of({"a.json": []}, keys=nested(300, types={"str": MANY})).replace('"a"', '"labels"'),
+    "a list": "[]",
+    "older format": '{"format": 1, "folders": {}}',
+    "text for number": of(keys={"types": {"dict": "many"}}),
+    "negative": of(keys={"types": {"dict": -1}}),
+    "not UTF-8": b'{"format": 2, "folders": {"\xff": 1}}',
+    "folder above": of(path="../../x"),
+    "absolute folder": of(path="/tmp/x"),
+    "long folder": of(path="x" * 5000),
+    "file above": of({"../../y.json": []}),
+    "file of no name": of({"..": []}),
+    "long file": of({"x" * 900: []}),
+    "long key": of({"a.json": []}, keys={"types": {"dict": 1}, "keys": {"x" * 5000: {"types": {"int": 1}}}}),
+    "many frames": of({"a.json": [0, MANY, MANY]}),
+    "too many frames": of({"a.json": [0, 10**8, 10**8]}),
+    "many pictures": of(path="images/image_stitched/plaza", frames=[0, 10**7, 10**7]),
+    "frames backwards": of({"a.json": [5, 2, 9]}),
+    "long lists": of({"a.json": []}, keys={"types": {"list": 1}, "keys": {"[]": {"types": {"int": MANY}}}}),
+    "frames in frames": of(
+        {"a.json": [0, 99_999, 100_000]},
+        keys={
+            "types": {"dict": 1},
+            "keys": {"0.jpg": {"types": {"dict": 1}, "keys": {"0.jpg": {"types": {"int": 1}}}}},
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DEFECTIVE)
+def test_a_file_that_is_no_fingerprint_gets_a_line(tmp_path, name):
+    text = DEFECTIVE[name]
+    (tmp_path / "print.json").write_bytes(text if isinstance(text, bytes) else text.encode())
+    code, out, err = run("sample", tmp_path / "inner" / "twin", "--like", tmp_path / "print.json")
+    assert code == 1 and err.count("\n") == 1 and not out, err
+    assert not list((tmp_path / "inner").glob("*")) and not list(tmp_path.glob("*x*"))

@@ -46,6 +46,8 @@ def reply(text, finish_reason="stop", reasoning=""):
         f"{OBJECT}\n<think>that was it</think>",
         f"\n<|begin_of_box|>{OBJECT}<|end_of_box|>",
         f"◁think▷look◁/think▷{OBJECT}",
+        f"<|channel|>analysis<|message|>look<|end|><|channel|>final <|constrain|>json<|message|>{OBJECT}<|return|>",
+        f"<reasoning>look</reasoning>\n{OBJECT}",
         f"[THINK]look[/THINK]```json\n{OBJECT}\n```",
         f"<|channel|>analysis<|message|>hm<|end|><|start|>assistant<|channel|>final<|message|>{OBJECT}",
         f"<|channel|>analysis<|message|>hm<|end|><|start|>assistant<|channel|>final<|message|>{OBJECT}<|return|>",

@@ -78,6 +78,14 @@ def test_crops_are_a_picture_per_row_and_a_sheet(small_demo, tmp_path):
     first = next((tmp_path / "boxes").glob("0001-*"))
     plain = jrdb_avr.Observer(store)(SEQUENCE, 150, 0.0).image
     assert cv2.imread(str(first)).shape == plain.shape
+    odd = "VALUES (0, NULL, 0), (150, 1, -5), (150, 1.5, 5), (1, 1, 5), (-1, 1, 5), (150, 'nan'::DOUBLE, 5)"
+    statement = f"FROM ({odd}) t(frame, x, w) SELECT '{SEQUENCE}' AS sequence, frame, x, 9.5 AS y, w, 40 AS h"
+    code, _, err = run("sql", statement, "--store", store, "--crops", tmp_path / "odd")
+    assert code == 0 and " crops of 6 rows" in err and [*(tmp_path / "odd").glob("0003-*")]
+    assert not {path.name[:4] for path in (tmp_path / "odd").iterdir()} & {"0001", "0002", "0005", "0006"}
+    rows = "SELECT 5 AS sequence, 150 AS frame, 1 AS track"
+    code, _, err = run("sql", rows, "--store", store, "--crops", tmp_path / "none")
+    assert code == 1 and "sequence 5 of row 1 is not loaded" in err
     code, _, err = run("sql", "SELECT 1 AS one", "--store", store, "--crops", tmp_path / "none")
     assert code == 1 and "return these columns" in err and not (tmp_path / "none").exists()
 
