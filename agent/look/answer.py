@@ -129,7 +129,7 @@ def conclude(
     supports = slot_supports(plan, tracks, hypothesis) if slots is None else slots(hypothesis)
     states = [support.state for _, support in supports]
     verdict: Verdict = "guess"
-    if states and hypothesis.log_odds > 0:
+    if states and hypothesis.log_odds > 0 and state != "open":
         share = math.exp(hypothesis.log_odds) / sum(math.exp(item.log_odds) for item in best.values())
         clear = hypothesis.log_odds >= CLEAR_ODDS and share >= CLEAR_SHARE and box.h >= CLEAR_HEIGHT
         # A person who is missed on the way moves all later ends of a chain. "At neither time" may mean missed, too.

@@ -193,9 +193,10 @@ def test_a_verdict_is_certain_only_if_person_and_answer_are():
     assert verdict(read(15, "bending")) == "supported" and verdict(read(15)) == "guess"
     man = replace(stands, labels=(ReadLabel("gender", "male"), *stands.labels[1:]))
     assert verdict(man) == "guess"
-    # Misses look the same as an absence.
+    # An answer about times at which no look was made.
     gone = reading_at(WOMAN, "presence", "multiple_choice", 300, 600)
-    assert verdict(read(15), plan=gone, choices=PRESENCE_ANSWERS) in ("supported", "guess")
+    assert verdict(read(15), plan=gone, choices=PRESENCE_ANSWERS) == "guess"
+    assert verdict(read(15), read(300), read(600), plan=gone, choices=PRESENCE_ANSWERS) == "supported"
 
 
 def test_a_choice_that_is_no_number_of_people_is_passed_over():
