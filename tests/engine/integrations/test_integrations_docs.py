@@ -58,7 +58,7 @@ def test_inspect_runs_as_shown(shell):
     script = ["set -e", f"{serve.removesuffix(' &')} > served < /dev/null &", "trap 'kill $!' EXIT", wait, *rest]
     out = shell("bash", "-c", "\n".join(script).replace("8734", port))
     # Narrow terminals cut the last.
-    for name in ("answer", "evidence", "combined", "hallucinat"):
+    for name in ("answer", "evidence", "combined", "halluc"):
         assert name in out
     assert len(list((shell.folder / "logs").glob("*.eval"))) == 1
 
