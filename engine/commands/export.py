@@ -24,9 +24,7 @@ from jrdb_avr.schema.card import CREATOR, HOME
 @click.option("--hf", type=FOLDER, help="Write DIRECTORY/public, to publish on Hugging Face, and DIRECTORY/private.")
 @click.option("--graph", type=FOLDER, help="Write the nodes and edges of the graph as Parquet, with schema.json.")
 @click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
-@click.option(
-    "--url", default=HOME, show_default=True, help="With --hf or --results: address of the published questions."
-)
+@click.option("--url", default=HOME, show_default=True, help="With --hf or --results: address of the questions.")
 def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, **paths: Path | None) -> None:
     """Write questions, predictions or the graph for other machines and tools.
 
@@ -46,6 +44,8 @@ def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, 
       jrdb-avr export --store S react-simulated --chat folder
       jrdb-avr export --store S react --results jrdb-avr.yaml --url https://huggingface.co/datasets/ME/QUESTIONS
     """
+    from jrdb_avr.queries.files import write_bytes
+
     public, hf, graph = (paths[name] for name in ("public", "hf", "graph"))
     chat, jsonl, results = (paths[name] for name in ("chat", "jsonl", "results"))
     if not any(paths.values()):
@@ -78,14 +78,12 @@ def export(store: Store, run: str | None, opaque: bool, creator: str, url: str, 
         note(f"wrote {chat}: {count} conversations")
     if results is not None and run is not None:
         from jrdb_avr.engine.integrations.huggingface import model_results
-        from jrdb_avr.queries.files import write_bytes
 
         write_bytes(results, model_results(store, run, url).encode())
         note(f"wrote {results}: three scores; its notes hold what the form has no fields for")
     if jsonl is not None and run is not None:
         from jrdb_avr.engine.report.prediction_lines import write_lines
         from jrdb_avr.engine.report.run_scores import predictions_path
-        from jrdb_avr.queries.files import write_bytes
         from jrdb_avr.queries.store import read_table
 
         predictions = read_table(predictions_path(store, run))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from jrdb_avr.engine.commands._options import FILE, form_option, workers_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
@@ -29,7 +30,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     help="Frames that get a panorama. 'changes': keyframes, and the frames just before and just after a label changes.",
 )
 @click.option("--full-scale", is_flag=True, help="Write sequences as large as in JRDB's test split, without panoramas.")
-@click.option("--like", type=FILE, help="Write what this file of 'load --fingerprint' describes. Ignore other options.")
+@click.option("--like", type=FILE, help="Write what this file of 'load --fingerprint' describes. No other options.")
 @workers_option
 @form_option
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
@@ -50,6 +51,10 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
     from jrdb_avr.queries.files import new_folder
 
+    sources = map(click.get_current_context().get_parameter_source, click.get_current_context().params)
+    # The two are DIR and --like.
+    if options["like"] and list(sources).count(ParameterSource.COMMANDLINE) > 2:
+        raise click.UsageError("--like takes no other option")
     sizes = FULL_SCALE if options["full_scale"] else [(options["frames"], options["people"])] * 5
     sizes = list(islice(cycle(sizes), options["sequences"] or len(sizes)))
     done = []
