@@ -162,6 +162,7 @@ def _click_option(declared: Field[Any]) -> Callable[[_C], _C]:
     repeated = name in _REPEATED
     return click.option(
         f"--{about['flag'] or name.replace('_', '-')}",
+        *(("--question",) if name == "questions" else ()),
         name,
         type=_kind(declared),
         is_flag=declared.type == "bool",

@@ -14,9 +14,9 @@ from jrdb_avr.engine.run.options import QuestionSelection
 
 
 @click.command()
-@click.argument("questions", nargs=-1, metavar="[QUESTION]...")
+@click.argument("ids", nargs=-1, metavar="[QUESTION]...")
 @store_option()
-@field_options(QuestionSelection, *FILTERS)
+@field_options(QuestionSelection, "questions", *FILTERS)
 @click.option("--sample", type=click.IntRange(1, 1000), help="Show only this many random ones of the questions.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random questions.")
 @page_option("inspect.html")
@@ -24,12 +24,12 @@ from jrdb_avr.engine.run.options import QuestionSelection
 @click.option("--reviewer", help="With --import: name of the reviewer.")
 @form_option
 def command(
-    questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, form: RowFormat, **review: Any
+    ids: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, form: RowFormat, **review: Any
 ) -> None:
     """Write a page on which a reviewer accepts or rejects questions, or store the decisions of a reviewer.
 
-    The page shows the answer, plan, proofs and pictures of each QUESTION (an id). Without a QUESTION, it shows the
-    questions of --family, --template and --sequence, or all. On the page, the key 'a' accepts a question, the key 'r'
+    The page shows the answer, plan, proofs and pictures of each QUESTION (an id), or of the questions that --questions,
+    --family, --template, --sequence and --sample select. On the page, the key 'a' accepts a question, the key 'r'
     rejects the question, and the key 'u' undoes the decision. The keys 'j' and 'k' go to the next and the previous
     question. The keys ',' and '.' go one second back and forward in time. The page saves the decisions as a file for
     --import.
@@ -41,7 +41,7 @@ def command(
       jrdb-avr inspect --import decisions.json --reviewer ada --store S
     """
     decisions, reviewer = review["decisions"], review["reviewer"]
-    selection = build(QuestionSelection, {**review, "questions": questions})
+    selection = build(QuestionSelection, {**review, "questions": ids + (review["questions"] or ())})
     if (decisions is None) != (reviewer is None):
         raise click.UsageError("--import and --reviewer go together")
     if decisions is not None:
@@ -50,7 +50,7 @@ def command(
         _import(store, decisions, reviewer.strip(), form)
         return
     if not selection.record() and sample is None:
-        raise click.UsageError("give QUESTION ids, --family, --template, --sequence or --sample N")
+        raise click.UsageError("say which questions: --questions, --family, --template, --sequence or --sample N")
 
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.inspect import choose_questions, inspect_page, inspect_questions

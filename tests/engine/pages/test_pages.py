@@ -224,6 +224,7 @@ def test_a_sample_is_seeded_and_of_the_filters(sample_benchmark, tmp_path):
     shown = {row["question_id"] for row in json.loads(out)}
     assert code == 0 and len(shown) == 2
     assert shown <= {row["question_id"] for row in rows if row["family"] == family}
+    assert {row["question_id"] for row in json.loads(run(*base, ids[1], "--question", ids[0])[1])} == {*ids[:2]}
     assert run(*base)[0] == run(*base, "--family", "none")[0] + 1 == 2
 
 
