@@ -16,9 +16,7 @@ from jrdb_avr.schema.card import CREATOR, HOME
 @run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, one per line, for 'score --jsonl'.")
 @click.option("--chat", type=FOLDER, help="Write the model calls of RUN as chats with pictures, to train models on.")
-@click.option(
-    "--results", type=FILE, help="Write the scores of RUN for a model's repository on Hugging Face (with --url)."
-)
+@click.option("--results", type=FILE, help="Write the scores of RUN for a model on Hugging Face (with --url).")
 @click.option("--public", type=FOLDER, help="Write a public store: questions and panoramas, but no answers.")
 @click.option("--opaque", is_flag=True, help="With --public: replace the names of sequences by hashes.")
 @click.option("--hf", type=FOLDER, help="Write DIRECTORY/public, to publish on Hugging Face, and DIRECTORY/private.")
