@@ -205,3 +205,5 @@ def test_the_hub_reads_the_scores_of_a_run(small_demo, tmp_path, monkeypatch, le
         about = ["method react", "synthetic", asked, "minimum IoU 0.5", row["interval"] + bounds]
         assert entry.notes.split("; ") == about
         assert (entry.dataset_id, entry.date) == ("lab/questions", manifest.created)
+    monkeypatch.setattr(Store, "training_set", lambda store: {"profile": "train"})
+    assert "training set" in run(*arguments, "--url", "https://huggingface.co/datasets/lab/questions")[2]
