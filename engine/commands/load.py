@@ -68,8 +68,8 @@ def command(
     from jrdb_avr.loaders.report import totals
     from jrdb_avr.queries.graph.database import UNLIMIT
 
-    if (root is not None) + options["rebuild"] + options["verify"] != 1:
-        raise click.UsageError("give one of ROOT, --rebuild and --verify")
+    if (root is not None) + options["rebuild"] + options["verify"] != 1 or (options["fingerprint"] and root is None):
+        raise click.UsageError("give one of ROOT, --rebuild and --verify; --fingerprint needs ROOT")
     if root is not None and options["fingerprint"] is not None:
         _describe(root, options["fingerprint"])
         return

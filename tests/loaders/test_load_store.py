@@ -323,11 +323,11 @@ def test_rules_are_overridden_by_name(tmp_path):
     assert code == 1 and "no_such_rule" in err
 
 
-@pytest.mark.parametrize("arguments", [(), ("root", "--rebuild"), ("root", "--rule", "x")])
+@pytest.mark.parametrize("arguments", ["", "root --rebuild", "root --rule x", "--rebuild --fingerprint f"])
 def test_wrong_calls_are_usage_errors(tmp_path, monkeypatch, arguments):
     write_root(tmp_path / "root", {"yard-1": GOOD})
     monkeypatch.chdir(tmp_path)
-    assert run("load", *arguments, "--store", "store")[0] == 2
+    assert run("load", *arguments.split(), "--store", "store")[0] == 2
 
 
 def test_missing_and_empty_roots_are_one_line(tmp_path):
