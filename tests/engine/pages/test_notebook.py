@@ -75,9 +75,10 @@ def test_crops_are_a_picture_per_row_and_a_sheet(small_demo, tmp_path):
         assert code == 0 and f"{count} crops of {count} rows" in err
         assert len([*(tmp_path / name).glob(f"*-{SEQUENCE}-000150.png")]) == count > 3
         assert (tmp_path / name / "sheet.png").exists()
-    first = next((tmp_path / "boxes").glob("0001-*"))
-    plain = jrdb_avr.Observer(store)(SEQUENCE, 150, 0.0).image
-    assert cv2.imread(str(first)).shape == plain.shape
+    row, image = json.loads(out)[0], cv2.imread(str(next((tmp_path / "boxes").glob("0001-*"))))
+    # The person is in the middle. The left edge of the box has one color.
+    edge = image[int(row["y"]) + 4 : int(row["y"] + row["h"]) - 4, round(240 - row["w"] / 2)]
+    assert image.shape == (480, 480, 3) and len(edge) > 20 and not np.ptp(edge, axis=0).any()
     odd = "VALUES (0, NULL, 0), (150, 1, -5), (150, 1.5, 5), (1, 1, 5), (-1, 1, 5), (150, 'nan'::DOUBLE, 5)"
     statement = f"FROM ({odd}) t(frame, x, w) SELECT '{SEQUENCE}' AS sequence, frame, x, 9.5 AS y, w, 40 AS h"
     code, _, err = run("sql", statement, "--store", store, "--crops", tmp_path / "odd")
@@ -97,8 +98,7 @@ def test_the_graph_loads_into_another_engine(small_demo, tmp_path):
     assert (tmp_path / "G").stat().st_mode & 0o777 == 0o700, "it holds the annotations"
     with Graph.open(store.graph_path, read_only=True) as graph:
         expected = graph.count_rows()
-    counts = dict.fromkeys(expected, 0)
-    nodes = {}
+    counts, nodes = dict.fromkeys(expected, 0), {}
     for entry in json.loads((tmp_path / "G" / "schema.json").read_text()):
         table = duckdb.read_parquet(str(tmp_path / "G" / entry["file"]))
         assert table.columns == [*entry["columns"]]
