@@ -17,7 +17,7 @@ import click
 from jrdb_avr.engine.commands._complete import complete_query
 from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, given, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
-from jrdb_avr.loaders.inputs import to_utf8
+from jrdb_avr.loaders.inputs import read_input, to_utf8
 from jrdb_avr.schema.errors import InputError, QueryError
 
 if TYPE_CHECKING:
@@ -200,10 +200,10 @@ def _statement(language: Language, query: str) -> str:
 
     Raise InputError if the content cannot be read.
     """
-    if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
+    if query != "-" and not re.fullmatch(rf"/dev/\S+|\S+\.{language}", query):
         return query
     try:
-        text = sys.stdin.buffer.read(_LONGEST + 1) if query == "-" else Path(query).read_bytes()
+        text = sys.stdin.buffer.read(_LONGEST + 1) if query == "-" else read_input(Path(query))
         if len(text) > _LONGEST:
             raise InputError(f"{query} is no statement: it is longer than {_LONGEST:,} bytes", file=query)
         return to_utf8(text, Path(query)).decode()

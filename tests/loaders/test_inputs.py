@@ -65,8 +65,8 @@ def test_links_and_standard_input_are_files_like_others(tmp_path):
     (tmp_path / "mine.jsonl").write_text(LINE)
     (tmp_path / "linked.jsonl").symlink_to("mine.jsonl")
     assert run("score", "--jsonl", tmp_path / "linked.jsonl", "--store", store.path)[0] == 0
-    done = run_program(COMMAND, "score", "other", "--jsonl", "/dev/stdin", "--store", store.path, stdin=LINE.encode())
-    assert done.returncode == 0, done.stderr
+    for command, text in ((("score", "other", "--jsonl", "/dev/stdin"), LINE), (("sql", "/dev/stdin"), "SELECT 1")):
+        assert run_program(COMMAND, *command, "--store", store.path, stdin=text.encode()).returncode == 0, command
     os.mkfifo(tmp_path / "pipe")
     assert read_input(tmp_path / "pipe") == b""
     for path in (tmp_path, Path("/dev/zero"), tmp_path / "none", Path("a\0b")):
