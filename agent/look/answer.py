@@ -60,7 +60,7 @@ _MOST_DIGITS: Final = 5
 """Maximum number of digits of a choice that is a number of people."""
 
 _OFTEN: Final = 100
-"""Minimum count of changes for which readings of both postures are never certain."""
+"""Minimum number of changes between two postures. From this number on, no reading of either posture is certain."""
 
 _WEAKEST: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
 
@@ -100,7 +100,7 @@ def conclude(
     frames: Sequence[int],
     slots: Callable[[RankedHypothesis], Sequence[SlotSupport]] | None = None,
 ) -> Conclusion | None:
-    """Return the answer about the first of `near_targets` that has one, else a guess about the likeliest target.
+    """Return the answer about the first readable person of `near_targets`, or a guess about the likeliest target.
 
     Args:
         plan: The plan.
@@ -199,7 +199,7 @@ def is_doubted(label: str) -> bool:
 
 
 def _evidence(tracks: Tracks, entity: str, frame: int, described: Collection[int]) -> tuple[int, Box]:
-    """Return the frame and box that are submitted as evidence.
+    """Return the frame and box to submit as evidence.
 
     A box that no edge cuts comes first. A frame at which the plan describes the person comes before other frames,
     because the person had to be followed to these. Then the frame that is nearest to the answer's frame is best.
@@ -307,7 +307,7 @@ class _Reader:
     def _moments(self) -> ReadAnswer:
         indexes = range(len(self.plan.answer.times))
         events = [self._bracket(index) or Bracket(self._began(index), None) for index in indexes]
-        # The moment of an event that was not seen is the middle of the time in which it may lie.
+        # If no look shows an event, its moment is the middle of the time that is left for it.
         moments = [event.middle or (event.low + self.frames[-1]) / 2 for event in events]
         state = _weakest(event.state for event in events)
         frame = next((event.high for event in events if event.high is not None), None)

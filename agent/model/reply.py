@@ -239,7 +239,7 @@ def _after_thinking(text: str, convention: Convention) -> str:
 
 
 def _between(text: str, convention: Convention) -> str:
-    """Return the text without the delimiters that may stand around an answer."""
+    """Return the text without the delimiters around an answer."""
     text = text.strip()
     for delimiter in convention.around:
         text = text.removeprefix(delimiter).removesuffix(delimiter).strip()

@@ -39,7 +39,7 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     The data are label files and panoramas that show drawn people. The default size is 5 sequences of 1,050 frames.
 
     --like writes a root with the folders, files, keys, types, label names and frame numbers of a fingerprint. Numbers
-    are invented, and pictures are empty files. 'load' reports of it what it reports of the described copy.
+    are invented, and pictures are empty files. So 'load' repeats what it prints about these, but not about numbers.
 
     Examples:
       jrdb-avr sample ./sample

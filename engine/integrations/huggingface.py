@@ -171,7 +171,7 @@ def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
 
 
 def model_results(store: Store, run_id: str, url: str) -> str:
-    """Return the scores of a run in the form in which Hugging Face keeps the results of a model.
+    """Return the scores of a run as the results file of a model on Hugging Face.
 
     Args:
         store: The store of the run, with answers.
