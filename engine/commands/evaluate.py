@@ -211,27 +211,28 @@ def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
 
 def _evaluate(store: Store, evaluation: _Evaluation, scores: bool | None) -> RunResult:
     from jrdb_avr.engine.run.evaluate import evaluate, name_run
+    from jrdb_avr.engine.run.overview import show_run
+    from jrdb_avr.engine.run.run import has_manifest
 
     texts: dict[str, object] = {}
-    counts = [0, 0]
     show = scores or (scores is None and sys.stderr.isatty())
     with progress_bar(lambda: "; ".join(map(str, texts.values()))) as progress:
-
-        def advance(title: str, done: int, total: int) -> None:
-            counts[:] = done, total
-            progress(title, done, total)
-
         try:
             return evaluate(
                 store,
                 *evaluation,
-                progress=advance,
+                progress=progress,
                 usage=lambda text: texts.update(usage=text),
                 live_scores=(lambda score: texts.update(scores=score)) if show else None,
             )
         except (KeyboardInterrupt, RunStoppedError):
             run_id = name_run(store, *evaluation)
-            steps = f"; or score what is finished: {scoring_steps(store.path, run_id)}" if counts[0] else ""
-            state = "{} of {} questions are finished".format(*counts) if counts[1] else "no question was asked"
+            state, steps = "no question was asked", ""
+            if has_manifest(store, run_id):
+                # The progress may lack a question that is on disk, because an interrupt may come at any moment.
+                row = show_run(store, run_id)
+                state = f"{row['answered'] + row['invalid']} of {row['n']} questions are finished"
+                if row["answered"] + row["invalid"] + row["error"]:
+                    steps = f"; or score what is finished: {scoring_steps(store.path, run_id)}"
             note(f"{run_id}: {state}; go on: the same command with --resume{steps}")
             raise

@@ -113,13 +113,17 @@ class Run(Journal):
         except (ValueError, TypeError) as error:
             raise InputError(f"run {self.run_id!r} cannot be stored: {error}; change it", field="method") from None
         check_manifest(self.store, manifest)
-        self.callback(self._finish_stopped)
+        self.callback(self.finish_stopped)
         return manifest
 
-    def _finish_stopped(self) -> None:
-        """Write the tables of the finished questions if the run stops early."""
-        if self.finished and not self._over:
-            self.finish()
+    def finish_stopped(self) -> None:
+        """Write the tables of the finished questions, if there are any, unless `finish` has been called."""
+        if not self._over:
+            with self._writing:
+                # An interrupt may have come after an entry was on disk and before it was in `finished`.
+                self.finished = self._replay()
+            if self.finished:
+                self.finish()
 
     def append(self, entry: Finished) -> None:
         """Append the entry of a finished question to the journal, and return when it is on disk.
@@ -160,8 +164,7 @@ def write_partial(store: Store, run_id: str) -> None:
     """
     if has_manifest(store, run_id) and not (store.run_path(run_id) / "predictions.parquet").exists():
         with Run(store, run_id) as run:
-            if run.finished:
-                run.finish()
+            run.finish_stopped()
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:

@@ -78,7 +78,8 @@ def draw_questions(questions: Sequence[QuestionRow], selection: QuestionSelectio
         raise StoreError("no question matches all selected families, templates and sequences: select by fewer options")
     chosen = list(questions)
     if selection.seed is not None:
-        chosen.sort(key=lambda question: _draw(selection.seed, question))
+        # The sort key of a question does not depend on other questions.
+        chosen.sort(key=lambda row: hashlib.sha256(f"{selection.seed} {row.question_id}".encode()).digest())
     if selection.per_template is not None:
         _check_columns(questions, "template")
         ranks: defaultdict[str, count[int]] = defaultdict(count)
@@ -123,11 +124,6 @@ def _check_columns(questions: Sequence[QuestionRow], column: str) -> None:
             f"the questions of a public store have no {column}: select by --sequence, --questions or --limit",
             field=column,
         )
-
-
-def _draw(seed: int | None, question: QuestionRow) -> bytes:
-    """Return the sort key of a question in the random order of a seed. The key does not depend on other questions."""
-    return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 
 def _without_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[str]:

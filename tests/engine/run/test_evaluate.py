@@ -336,29 +336,32 @@ def test_a_run_that_stops_in_its_preflight_has_asked_no_question(store):
     assert "react-fake: no question was asked; go on" in result.stderr and "0 of 0" not in result.stderr
 
 
-def test_a_run_that_is_interrupted_or_killed_is_scored_as_partial(store):
-    """Ctrl-C writes what is finished. A killed run has its journal alone, and `score` writes its tables."""
-    write_answers(store)
-    signals = [signal.SIGINT]
+def test_a_run_that_is_interrupted_or_killed_is_scored_as_partial(store, monkeypatch):
+    """Ctrl-C writes what is finished, here before the program knows that its first line is on disk.
 
-    def script(request, n):
+    A killed run has its journal alone, and `score` writes its tables.
+    """
+    write_answers(store)
+    signals, fsync = [signal.SIGINT], os.fsync
+
+    def interrupt(file):
+        fsync(file)
         if signals and journal_lines(store.run_path("react-fake")):
             os.kill(os.getpid(), signals.pop())
-        return json.dumps({"action": "observe", "frame_id": "000000", "angle_deg": 10 * (n % 36)})
 
-    with FakeServer(sound(script)) as server:
+    monkeypatch.setattr(os, "fsync", interrupt)
+    with FakeServer(sound(lambda request, n: '{"action": "observe", "frame_id": "000000", "angle_deg": 10}')) as server:
         options = ("--model", "fake", "--base-url", server.url, "--limit", "4", "--concurrency", "1")
         result = evaluate(store, *options, ok=False)
     kept = len(predictions(store, "react-fake"))
     assert 0 < kept < 4 and result.exit_code
     line = f"react-fake: {kept} of 4 questions are finished; go on: the same command with --resume; or score"
     assert line in result.stderr and f"jrdb-avr score --store {store.path} react-fake" in result.stderr
-    for killed in (False, True):
-        if killed:
-            (store.run_path("react-fake") / "predictions.parquet").unlink()
+    for _ in range(2):
         scored = CliRunner().invoke(score, ["--store", str(store.path), "react-fake", "--json"])
         (row,) = json.loads(scored.stdout)
         assert (row["n"], row["label"]) == (kept, f"partial, {kept} of 4")
+        (store.run_path("react-fake") / "predictions.parquet").unlink()
 
 
 def test_a_run_that_reaches_its_cost_stops_and_goes_on_with_more(store, tmp_path, monkeypatch):
