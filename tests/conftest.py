@@ -42,6 +42,15 @@ def pytest_configure():
         tempfile.tempdir = None
 
 
+@pytest.fixture
+def memory():
+    """An empty graph in memory."""
+    from jrdb_avr.queries.graph.handle import Graph
+
+    with Graph.memory() as graph:
+        yield graph
+
+
 @pytest.fixture(scope="session", autouse=True)
 def one_process():
     """Write graphs and run Cypher statements in the tests' process: starting another takes longer than the work."""

@@ -79,8 +79,8 @@ _ENDS: Final = {
     "|policy_violation|blocked|blocklist|spii",
     "failed": "(?<!no_)error|abort|cancel|fail|insufficient|time_?d?_?out|unavailable|overload|capacity|interrupt"
     "|disconnect|busy|shut_?down|crash|exception|memory|^oom|kill|died|preempt|evict|terminated|reset|deadline|throttl"
-    "|rate_?limit|too_many|quota|gateway|upstream|^5[0-9][0-9]$",
-    "length": "length|max_?(new_?|output_?|completion_?)?tokens|token_?limit|context_window",
+    "|rate_?limit|too_many(?!_tokens)|quota|gateway|upstream|^5[0-9][0-9]$",
+    "length": "length|max_?(new_?|output_?|completion_?)?tokens|too_many_tokens|token_?limit|context_window",
     "stop": "^(stop|eos|eos_token|end_turn|stop_sequence)$",
 }
 """Ends of replies by regular expressions for finish reasons. Some servers use finish reasons of other protocols.

@@ -113,8 +113,11 @@ class Desk:
                 raise ToolError(f"{MOST_OPEN} questions are begun and not finished: finish one of them first")
             if not self._due:
                 return {"done": True, "message": self._end}
-            # A question that cannot begin stays the next one.
-            play = Play.begin(self._bench, self._due[-1])
+            try:
+                # A question that cannot begin stays the next one.
+                play = Play.begin(self._bench, self._due[-1])
+            except AvrError as error:
+                raise ToolError(f"the next question cannot begin: {error}") from None
             self._due.pop()
             episode, token = play.episode, secrets.token_urlsafe(12)
             self._open[token] = _Open(play, threading.Lock())

@@ -4,26 +4,21 @@ import os
 
 import pytest
 from processes import run_program
-from world_calls import SCENE, believe, beside_scene, tables_of
+from world_calls import believe, beside_scene, scene_in, tables_of
 
 from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.graph import handle
 from jrdb_avr.queries.graph.file import check_fingerprint
-from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 
 
 @pytest.fixture
 def scene(tmp_path):
-    """A graph with a scene in which two people are to be kept from agents, and without world tables."""
-    path = tmp_path / "graph.kuzu"
-    with build_graph(path) as graph:
-        for statement in (*scene_ddl(), *SCENE):
-            graph.execute(statement)
-    return path
+    return scene_in(tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -26,12 +26,6 @@ MENDED = "the engine answers rightly now: see whether its guard may go"
 
 
 @pytest.fixture
-def memory():
-    with Graph.memory() as graph:
-        yield graph
-
-
-@pytest.fixture
 def path(tmp_path):
     place = tmp_path / "graph.kuzu"
     with build_graph(place) as graph:

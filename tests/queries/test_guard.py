@@ -103,7 +103,6 @@ HOSTILE = [
     "LOAD FROM '{secret}' RETURN *",
     "LOAD FROM '{secret}' (header=false, file_format='csv') RETURN *",
     "load/**/from '{secret}' return *",
-    "Lo\u0410D FROM '{secret}' RETURN *",
     "MATCH (p:Person) LOAD FROM '{secret}' RETURN *",
     "EXPORT DATABASE '{target}'",
     "IMPORT DATABASE '{target}'",
@@ -128,13 +127,19 @@ HOSTILE = [
     "RETURN /* a",
     "MATCH (p:Person) WHERE all(x IN [1] WHERE x > 0) RETURN p",
     "MATCH (p:Person) WHERE any(x IN [1] WHERE x > 0) RETURN p",
+]
+"""Statements with a word of a refused clause."""
+
+PAST_THE_WORDS = (
+    "Lo\u0410D FROM '{secret}' RETURN *",
     "",
     ";",
     "   ",
     "nonsense",
     "MATCH (p:Nobody) RETURN p",
     "RETURN $missing",
-]
+)
+"""Hostile statements without such a word: the engine refuses them."""
 
 
 @pytest.fixture
@@ -149,7 +154,7 @@ def surroundings(store, tmp_path):
 
 
 def test_hostile_cypher_is_refused_in_one_line(store, surroundings, without_process):
-    for text in HOSTILE:
+    for text in (*HOSTILE, *PAST_THE_WORDS):
         cypher = text.replace("{secret}", surroundings["secret"]).replace("{target}", surroundings["target"])
         with pytest.raises(QueryError) as error:
             store.cypher(cypher)
@@ -157,22 +162,10 @@ def test_hostile_cypher_is_refused_in_one_line(store, surroundings, without_proc
         assert SECRET not in str(error.value)
 
 
-PAST_THE_WORDS = (
-    "Lo\u0410D FROM '{secret}' RETURN *",
-    "",
-    ";",
-    "   ",
-    "nonsense",
-    "MATCH (p:Nobody) RETURN p",
-    "RETURN $missing",
-)
-"""Those of the hostile statements that hold no word of a refused clause: the engine refuses them."""
-
-
 @pytest.mark.parametrize(
     "text",
     [
-        *(text for text in HOSTILE if text not in PAST_THE_WORDS),
+        *HOSTILE,
         "RETURN 1; RETURN 2",
         "RETURN 'a\\b'",
         "RETURN 1 //\rRETURN 2",
@@ -200,7 +193,7 @@ def test_words_inside_texts_comments_and_names_are_no_clauses(text):
 
 def test_the_plan_is_the_second_door(store, surroundings):
     # Past the words: what reads or writes files still stops at the plan, what writes at the read-only database.
-    for text in HOSTILE:
+    for text in (*HOSTILE, *PAST_THE_WORDS):
         if re.match(r"(?i)(.*LOAD.*FROM|COPY|CALL|CREATE|MERGE|DROP|ALTER|MATCH.*(SET|DELETE))", text):
             cypher = text.replace("{secret}", surroundings["secret"]).replace("{target}", surroundings["target"])
             with pytest.raises((QueryError, StoreError)):

@@ -33,12 +33,6 @@ def fill(graph, edges, nodes=range(1, 5)):
 
 
 @pytest.fixture
-def memory():
-    with Graph.memory() as graph:
-        yield graph
-
-
-@pytest.fixture
 def path(tmp_path):
     place = tmp_path / "graph.kuzu"
     with build_graph(place) as graph:

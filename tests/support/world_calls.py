@@ -109,14 +109,19 @@ def believe(world, number=0, turns=4):
     return episode
 
 
-@contextlib.contextmanager
-def beside_scene(folder):
-    """World tables in a graph with a scene."""
+def scene_in(folder):
+    """Write a graph with a scene in which two people are to be kept from agents, and without world tables."""
     path = folder / "graph.kuzu"
     with build_graph(path) as graph:
         for statement in (*scene_ddl(), *SCENE):
             graph.execute(statement)
-    with WorldGraph.open(path) as world:
+    return path
+
+
+@contextlib.contextmanager
+def beside_scene(folder):
+    """World tables in a graph with a scene."""
+    with WorldGraph.open(scene_in(folder)) as world:
         yield world
 
 

@@ -216,6 +216,7 @@ def test_content_that_is_a_list_of_parts(content, read, reasoning):
         ("STOP", "stop"),
         ("end_turn", "stop"),
         ("MAX_TOKENS", "length"),
+        ("too_many_tokens", "length"),
         ("max-tokens", "length"),
         ("CONTENT_FILTER", "content_filter"),
         ("guardrail_intervened", "content_filter"),
@@ -297,7 +298,8 @@ def test_a_reply_without_end_is_not_read_to_its_end():
 
 
 def test_nothing_of_a_reply_over_a_megabyte_is_read_further_or_stored(tmp_path):
-    with FakeServer(sequence_of("x" * 1_000_000, "x" * 1_100_000)) as server:
+    """The connection breaks after 1.1 MB: the rest is not asked for again."""
+    with FakeServer(sequence_of("x" * 1_000_000, CutOff("x" * 2_200_000))) as server:
         made, _ = client(server, cache=tmp_path / CALLS)
         assert len(made.complete(ASK).content) == 1_000_000
         before = (tmp_path / CALLS).read_bytes()

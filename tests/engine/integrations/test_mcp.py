@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import httpx2
 import pyarrow.parquet as pq
@@ -287,6 +288,21 @@ def test_questions_are_handed_out_once_and_asked_again_where_they_were_left_open
 
     assert [asyncio.run(main(1)), asyncio.run(main(1)), asyncio.run(main(0))] == [2, 1, 0]
     assert len(predictions(store, "r")) == 2
+
+
+def test_a_question_that_cannot_begin_stays_the_next_one(store, monkeypatch):
+    from jrdb_avr.engine.integrations.mcp import Play
+
+    attempts = iter([Mock(side_effect=InputError("its frames cannot be read")), Play.begin])
+    monkeypatch.setattr(Play, "begin", lambda *given: next(attempts)(*given))
+
+    async def main():
+        async with desk(store) as client:
+            return [await client.call_tool("next_question") for _ in range(2)]
+
+    failed, begun = asyncio.run(main())
+    assert failed.is_error and text_of(failed).endswith("cannot begin: its frames cannot be read")
+    assert QUESTIONS_ASKED[0].question in begun.structured_content["prompt"]
 
 
 def test_two_time_twins_are_not_asked_in_one_session(store):
