@@ -216,7 +216,8 @@ def _evaluate(store: Store, evaluation: _Evaluation, scores: bool | None) -> Run
 
     texts: dict[str, object] = {}
     show = scores or (scores is None and sys.stderr.isatty())
-    with progress_bar(lambda: "; ".join(map(str, texts.values()))) as progress:
+    # Another thread shows the texts. A copy does not change while the thread formats it.
+    with progress_bar(lambda: "; ".join(map(str, list(texts.values())))) as progress:
         try:
             return evaluate(
                 store,

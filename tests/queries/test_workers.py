@@ -65,14 +65,14 @@ def test_a_script_without_a_guard_or_from_standard_input_runs_once(tmp_path, giv
     )
     with script.open() as lines:
         command = [sys.executable, *([] if given else [script])]
-        done = subprocess.run(command, stdin=lines, capture_output=True, text=True, timeout=100)
+        done = subprocess.run(command, stdin=lines, capture_output=True, text=True, timeout=300)
     assert (done.stdout, done.stderr) == ("begun\n[(0, 1), (1, 2)] {}\n", "")
 
 
 def sleep_or_die(folder: Path | None) -> None:
     if folder is None:
         os._exit(9)
-    time.sleep(20)
+    time.sleep(60)
     (folder / "waited").touch()
 
 

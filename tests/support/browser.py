@@ -66,7 +66,7 @@ def serving(respond):
 def fetch(server, path="", *, method="GET", body=None, target=None, headers=()):
     """(status, text) of a request for a path behind the token, or for a whole target; headers replace the usual."""
     url = urlsplit(server.url)
-    connection = http.client.HTTPConnection(url.hostname, url.port, timeout=30)
+    connection = http.client.HTTPConnection(url.hostname, url.port, timeout=300)
     try:
         connection.putrequest(method, target or url.path + path, skip_host=True)
         named = dict(headers)

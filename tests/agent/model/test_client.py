@@ -272,18 +272,20 @@ def test_an_account_without_credit_is_told_at_once(said, wrap):
 @pytest.mark.slow
 def test_sixty_four_share_a_server_that_takes_four():
     """It refuses whoever comes while four are served: nobody's question may be lost for that."""
-    places, clock = threading.Semaphore(4), 0.03
+    places, held = threading.Semaphore(4), [0.03]
 
     def script(request, n):
         if not places.acquire(blocking=False):
             return Status(429, "busy")
-        time.sleep(clock)
+        begun = time.monotonic()
+        time.sleep(held[0])
+        held.append(time.monotonic() - begun)
         places.release()
         return "hi"
 
     with FakeServer(script) as server, ThreadPoolExecutor(64) as pool:
-        # A part of every pause, so that the ratio of work to pauses is that of a second's work per reply.
-        made = Client(server.url, "fake", pause=lambda seconds: time.sleep(seconds * clock))
+        # A part of every pause, so that the ratio of work to pauses is at most that of a second's work per reply.
+        made = Client(server.url, "fake", pause=lambda seconds: time.sleep(seconds * max(held)))
         assert {reply.content for reply in pool.map(made.complete, [ASK] * 128)} == {"hi"}
     assert len(server.requests) > 128
 
@@ -309,7 +311,7 @@ def test_nothing_of_a_reply_over_a_megabyte_is_read_further_or_stored(tmp_path):
     assert len(server.requests) == 2
 
 
-@pytest.mark.parametrize("late", [Drip(0.05, "late"), Slow(1.5, "late")])
+@pytest.mark.parametrize("late", [Drip(0.05, "late"), Slow(60, "late")])
 def test_a_reply_that_comes_late_is_given_up_and_requested_again(late):
     """Each byte of a dripping reply comes in time; were all of them waited for, the reply would be another."""
     with FakeServer(sequence_of(late, "hi")) as server:
@@ -406,13 +408,13 @@ def test_a_redirect_is_refused_whatever_its_body():
 
 def test_nobody_there_is_one_line():
     with socket.socket() as free:
+        # The port stays taken, so that no other server gets it. A socket that does not listen refuses connections.
         free.bind(("127.0.0.1", 0))
-        url = f"http://127.0.0.1:{free.getsockname()[1]}/v1"
-    pauses = []
-    made = Client(url, "fake", pause=pauses.append)
-    words = r"cannot reach the server .*: start the server or correct --base-url"
-    with pytest.raises(RunStoppedError, match=words) as e:
-        made.complete(ASK)
+        pauses = []
+        made = Client(f"http://127.0.0.1:{free.getsockname()[1]}/v1", "fake", pause=pauses.append)
+        words = r"cannot reach the server .*: start the server or correct --base-url"
+        with pytest.raises(RunStoppedError, match=words) as e:
+            made.complete(ASK)
     assert "\n" not in str(e.value)
     assert 120 <= sum(pauses) < 180, "it may be restarting"
 
@@ -857,7 +859,7 @@ def test_no_part_of_the_key_is_left_where_a_message_is_cut(monkeypatch):
 
 
 def test_a_probe_does_not_wait_as_long_as_a_question():
-    with FakeServer(sequence_of(Slow(0.5, "hi"))) as server:
+    with FakeServer(sequence_of(Slow(60, ""), Slow(60, ""), Slow(0.5, "hi"))) as server:
         made = Client(server.url, "fake", bounds=Bounds(probe_s=0.2), pause=lambda seconds: None)
         with pytest.raises(EndpointError, match="no whole reply within"):
             made.probe(ASK)

@@ -35,19 +35,19 @@ def test_a_person_may_end_a_session_at_any_time(small_demo, tmp_path):
     shutil.copytree(small_demo.folder / "store", tmp_path / "store")
     store = tmp_path / "store"
     with started("play", "--store", store, "--name", "ada", "--limit", 2) as (process, url):
-        assert url.startswith("http://127.0.0.1:") and b"ada plays" in urllib.request.urlopen(url, timeout=30).read()
+        assert url.startswith("http://127.0.0.1:") and b"ada plays" in urllib.request.urlopen(url, timeout=300).read()
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0 and "Traceback" not in process.stderr.read()
+        assert process.wait(300) == 0 and "Traceback" not in process.stderr.read()
     manifest = read_run_manifest(Store(store), "human-ada")
     assert (manifest.method, manifest.model, len(manifest.question_ids)) == ("human", "ada", 2)
     assert manifest.settings["method"] == {"budget": 24} and manifest.synthetic
     code, _, err = run("play", "--store", store, "--name", "ada")
     assert code == 1 and "--resume" in err and err.count("\n") == 1
     with started("view", "--store", store) as (process, url):
-        page = urllib.request.urlopen(url, timeout=30).read().decode()
+        page = urllib.request.urlopen(url, timeout=300).read().decode()
         assert "answers and scores are not shown" in page
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130 and "Traceback" not in process.stderr.read()
+        assert process.wait(300) == 130 and "Traceback" not in process.stderr.read()
 
 
 def test_answers_are_shown_of_scored_runs_alone(sample_benchmark):

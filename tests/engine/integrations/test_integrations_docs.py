@@ -19,12 +19,6 @@ CONSOLE = re.findall(r"```console\n(.*?)\n```", PAGE, re.S)
 PYTHON = re.findall(r"```python\n(.*?)\n```", PAGE, re.S)
 
 
-def free_port():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
 @pytest.fixture
 def shell(small_demo, tmp_path):
     """Run a program in a folder that holds the demo, with the commands of the Python that runs the tests."""
@@ -51,12 +45,15 @@ def commands(block):
 
 @pytest.mark.slow
 def test_inspect_runs_as_shown(shell):
-    port = str(free_port())
     (block,) = [own for own in CONSOLE if "inspect eval" in own]
     serve, *rest = commands(block)
     wait = "for i in $(seq 1000); do grep -q ready served && break; sleep 0.1; done"
     script = ["set -e", f"{serve.removesuffix(' &')} > served < /dev/null &", "trap 'kill $!' EXIT", wait, *rest]
-    out = shell("bash", "-c", "\n".join(script).replace("8734", port))
+    with socket.socket() as held:
+        # No other program gets the port, and a server that reuses addresses does.
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        held.bind(("127.0.0.1", 0))
+        out = shell("bash", "-c", "\n".join(script).replace("8734", str(held.getsockname()[1])))
     # Narrow terminals cut the last.
     for name in ("answer", "evidence", "combined", "halluc"):
         assert name in out

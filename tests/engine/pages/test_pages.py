@@ -4,7 +4,6 @@ import base64
 import contextlib
 import json
 import re
-import time
 from xml.etree import ElementTree
 
 import msgspec
@@ -249,8 +248,10 @@ def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark,
 @pytest.mark.slow
 def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchmark_copy):
     from selenium.webdriver import ActionChains, Keys
+    from selenium.webdriver.support.ui import WebDriverWait
 
     driver, folder = opened
+    wait = WebDriverWait(driver, 60, 0.02).until
     visit(driver, inspected)
 
     def press(*keys):
@@ -267,6 +268,8 @@ def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchm
     press("a")
     assert (count(), current()) == ("1 of 4 decided: 1 accepted, 0 rejected", ["q2"])
     press("r", "two people fit, a & b", Keys.ENTER)
+    # The browser says that a dialog has closed after the key has been handled.
+    wait(lambda _: count().startswith("2 of 4"))
     assert (count(), current()) == ("2 of 4 decided: 1 accepted, 1 rejected", ["q3"])
     press("j", "j", "j", "k")
     assert current() == ["q3"]
@@ -276,10 +279,7 @@ def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchm
     assert count().startswith("2 of 4")
     driver.find_element("id", "download").click()
     file = folder / "decisions.json"
-    for _ in range(100):
-        if file.exists() and file.stat().st_size:
-            break
-        time.sleep(0.05)
+    wait(lambda _: file.exists() and file.stat().st_size)
     names = [article.get_attribute("data-id") for article in shown(driver, "article")]
     assert [
         (row["question_id"], row["decision"], row["reason"]) for row in json.loads(file.read_text())["decisions"]
@@ -422,12 +422,12 @@ def test_a_panorama_is_zoomed_turned_and_shown_again(opened, pictured):
     wheel = ScrollOrigin.from_element(svg, x_offset=int(svg.rect["width"] / 4))
     before = driver.execute_script("return scrollY")
     ActionChains(driver).scroll_from_origin(wheel, 0, -100).perform()
-    WebDriverWait(driver, 30, 0.02).until(lambda _: driver.execute_script("return scrollY") < before)
+    WebDriverWait(driver, 60, 0.02).until(lambda _: driver.execute_script("return scrollY") < before)
     assert box()[2] == 3760, "the wheel scrolls the page until the panorama is clicked"
     driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", svg)
     ActionChains(driver).click(svg).perform()
     ActionChains(driver).scroll_from_origin(wheel, 0, -200).perform()
-    WebDriverWait(driver, 30, 0.02).until(lambda _: box()[2] < 3760)
+    WebDriverWait(driver, 60, 0.02).until(lambda _: box()[2] < 3760)
     left, top, wide, tall = box()
     assert wide == pytest.approx(3760 / 1.25**2) and (top, tall) == (0, 480)
     # What was under the pointer stays there.

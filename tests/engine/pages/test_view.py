@@ -245,7 +245,7 @@ def test_a_question_is_looked_through_by_keyboard(opened, small_demo):
         return int(driver.find_element("id", "frame").text.split()[1])
 
     def until(condition):
-        WebDriverWait(driver, 30, 0.02).until(lambda _: condition())
+        WebDriverWait(driver, 60, 0.02).until(lambda _: condition())
 
     def pictured():
         return f"frame={frame()}" in (driver.find_element("id", "picture").get_attribute("href") or "").split("&")

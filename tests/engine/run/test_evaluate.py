@@ -699,11 +699,14 @@ def test_a_run_without_a_readable_reply_stops(tmp_path, bad, rest, stops):
                 assert len(journal.finished) == 6
 
 
-def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
+def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path, monkeypatch):
     """What is in flight ends at its next look or step, and nothing new is begun."""
-    ended = []
+    # However slow the machine, all threads end, because none waits for a server.
+    monkeypatch.setattr(answering, "_STOP_S", 60.0)
+    ended, begun = [], threading.Semaphore(0)
 
     def behave(task):
+        begun.release()
         try:
             while True:
                 task.record(Step("model", "", "", 0.0))
@@ -716,6 +719,7 @@ def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
 
     def fail(steps):
         if steps:
+            assert all(begun.acquire(timeout=60) for _ in range(3))
             raise KeyboardInterrupt
 
     with opened(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):

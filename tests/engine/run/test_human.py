@@ -211,7 +211,7 @@ def test_a_person_drags_looks_boxes_and_answers(store, tmp_path):
             return driver.find_element("id", name)
 
         def until(condition):
-            WebDriverWait(driver, 30, 0.02).until(lambda _: condition())
+            WebDriverWait(driver, 60, 0.02).until(lambda _: condition())
 
         driver.get(server.url)
         until(lambda: element("question").text)

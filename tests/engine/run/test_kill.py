@@ -169,7 +169,6 @@ def kill_and_resume(launcher, asked_world, folder, method, script, kills, seed):
     rng, run, deaths = random.Random(seed), 0, 0
     while deaths < kills:
         killed = new_store(folder / f"killed_{run}", asked_world)
-        before = deaths
         with FakeServer(sound(counted := Counted(script))) as server:
             in_flight = 0
             while deaths < kills:
@@ -187,9 +186,10 @@ def kill_and_resume(launcher, asked_world, folder, method, script, kills, seed):
             start(launcher, killed, server.url, method)
             assert ended(launcher) == 0
             assert counted.seen == served
-        assert deaths > before, "a run of a few calls was never killed"
         assert (kept(killed), in_graph(killed)) == expected
         run += 1
+        # A slow machine may kill a run only after its end.
+        assert run < 20, "runs of a few calls were never killed"
     return whole
 
 
@@ -197,7 +197,9 @@ def killed_once(launcher, store, server, counted, method, rng):
     """Run, and be killed: how many calls are in flight then. None where the run ended before."""
     counted.at = counted.seen + rng.randint(1, AT_ONCE)
     counted.before = rng.random() < 0.4
-    counted.pid = start(launcher, store, server.url, method)
+    # No call is counted before it is known what to kill.
+    with counted.lock:
+        counted.pid = start(launcher, store, server.url, method)
     code, counted.pid = ended(launcher), 0
     assert code in (0, -signal.SIGKILL)
     if not code:
