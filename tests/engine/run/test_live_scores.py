@@ -87,8 +87,8 @@ def test_without_answers_nothing_is_said(store):
                 thread.join(120)
 
 
-def test_a_run_tells_its_scores_when_asked(store, monkeypatch):
-    """Without a terminal only if asked, and the model is told nothing of them."""
+def test_a_run_tells_its_scores_when_asked(store, monkeypatch, tmp_path):
+    """Without a terminal only if asked, and the model is told nothing of them. The cost so far stands beside them."""
     write_answers(store)
     first, second = QUESTIONS_ASKED[1], QUESTIONS_ASKED[3]
     noted, scored = [], threading.Event()
@@ -96,8 +96,8 @@ def test_a_run_tells_its_scores_when_asked(store, monkeypatch):
     def note(text):
         noted.append(text)
         # An earlier line may have the score of the first question while its progress is still due.
-        scores = "answer 100.0 %, evidence 0.0 %, combined 0.0 % of 1"
-        if re.match(rf"react, m: 1 of 2, [-0-9:]+ left; [0-9]+ tokens, 0 retries; {scores}$", str(text)):
+        spent = r"[0-9]+ tokens, [0-9.]+ dollars, 0 retries; answer 100.0 %, evidence 0.0 %, combined 0.0 % of 1$"
+        if re.match(rf"react, m: 1 of 2, [-0-9:]+ left; {spent}", str(text)):
             scored.set()
 
     monkeypatch.setattr(console, "note", note)
@@ -112,7 +112,9 @@ def test_a_run_tells_its_scores_when_asked(store, monkeypatch):
         box = [{"frame_id": f"{asked_frame(first):06d}", "bbox": [1, 2, 3, 4]}]
         return json.dumps({"action": "answer", "answer": shown_at(asked_frame(first)), "evidence_bboxes": box})
 
-    base = ["--store", str(store.path), "--method", "react", "--model", "m", "--concurrency", "2", "--questions"]
+    (tmp_path / "prices.toml").write_text("[m]\ninput = 1000000\noutput = 0\n")
+    base = ["--store", str(store.path), "--method", "react", "--model", "m", "--prices", str(tmp_path / "prices.toml")]
+    base += ["--concurrency", "2", "--questions"]
     for picked, options in (
         ([first], ("--run-id", "a")),
         ([first, second], ("--run-id", "b", "--scores")),

@@ -6,8 +6,9 @@ import hmac
 import stat
 
 import pytest
-from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE
+from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE, write_answers
 
+from jrdb_avr.engine.report.comparison import diff
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.journal import Finished, with_id
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
@@ -82,6 +83,13 @@ def test_a_method_sees_an_opaque_id_and_the_store_keeps_its_own(store):
     kept = b"".join(path.read_bytes() for path in store.run_path("one").rglob("*.json*"))
     assert not [name for name in seen if name.encode() in kept]
     assert dict(zip(seen, ids, strict=True)).items() <= stored_ids(store).items()
+
+
+def test_an_opaque_run_is_compared_with_another(store):
+    write_answers(store)
+    play(store, Notes(), limit=3, run_id="opaque")
+    play(store, Notes(), opaque=False, limit=5, run_id="plain")
+    assert [row["n"] for row in diff(store, "opaque", "plain").rows] == [3, 3, 3]
 
 
 def test_rows_of_a_world_model_get_the_id_of_the_store():
