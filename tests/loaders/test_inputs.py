@@ -60,6 +60,11 @@ def test_every_command_reads_marked_files(tmp_path, monkeypatch, encoding):
         assert shown in out + err, (name, err)
 
 
+def test_a_marked_cypher_file_is_read(tmp_path, sample_benchmark):
+    (tmp_path / "q.cypher").write_bytes(saved("RETURN 'é' AS text", "utf-16"))
+    assert run("cypher", tmp_path / "q.cypher", "--csv", "--store", sample_benchmark.path)[1] == "text\né\n"
+
+
 def test_links_and_standard_input_are_files_like_others(tmp_path):
     *_, store = stored_failures(tmp_path / "S")
     (tmp_path / "mine.jsonl").write_text(LINE)
