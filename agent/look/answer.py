@@ -107,7 +107,7 @@ def conclude(
         tracks: Readings and looks. The readings of `near_targets` are enough, unless `needs_everyone`.
         hypotheses: The bindings, the best first.
         choices: Choices of the question.
-        frames: Frames at which looks can be made, ascending.
+        frames: The legal frames of the sequence, ascending.
         slots: Function that returns the support of the plan's parts under a binding. Default: the support by `tracks`.
 
     Returns:
@@ -201,8 +201,8 @@ def is_doubted(label: str) -> bool:
 def _evidence(tracks: Tracks, entity: str, frame: int, described: Collection[int]) -> tuple[int, Box]:
     """Return the frame and box to submit as evidence.
 
-    A box that no edge cuts comes first. A frame at which the plan describes the person comes before other frames,
-    because the person had to be followed to these. Then the frame that is nearest to the answer's frame is best.
+    A box that no edge cuts comes first. Then a frame of the person's description in the plan comes before other frames,
+    because the agent must recognize the person again at other frames. Then the nearest frame to the answer's is best.
     """
     readings = {at: reading for at in {item.frame for item in tracks.people[entity]}
                 if (reading := tracks.best_reading(entity, at)) is not None}  # fmt: skip

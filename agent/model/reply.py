@@ -218,7 +218,7 @@ def thinking_text(reply: Reply, convention: Convention) -> str:
         convention: The convention, for the delimiters of thinking.
 
     Returns:
-        The thinking without delimiters, or "" if there is none.
+        The thinking without delimiters. It is empty if the reply holds only an answer.
     """
     for text in (reply.content, reply.reasoning):
         for opening, closing in convention.thinking:

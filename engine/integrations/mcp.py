@@ -1,7 +1,7 @@
 """Server of questions for any agent that speaks MCP. Its tools are `next_question`, `observe` and `submit_answer`.
 
-The moves of the agent are recorded as a run of the store. There are no sessions. Instead, each look and each
-answer carries the opaque token of its question. Only the public files of the store are read. The tools return a
+The moves of the agent are recorded as a run of the store. The server has no sessions. Instead, each look and
+each answer carries the opaque token of its question. Only the public files of the store are read. The tools return a
 question's text, its legal frames, crops with their frame and angle, and the reasons for refused moves. This module
 needs the extra `mcp`.
 """

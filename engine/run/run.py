@@ -268,7 +268,7 @@ def run_questions(
         run_id: The id of the run.
         selection: The selection. If a run is resumed with the default selection, the run keeps its questions.
         resume: Whether to continue the run if it exists.
-        image_root: The folder that has one folder of panoramas per sequence. None means that there are no panoramas.
+        image_root: The folder that has one folder of panoramas per sequence, or None without panoramas.
 
     Returns:
         The questions, and the selection as plain JSON (`QuestionSelection.record`).

@@ -35,7 +35,7 @@ def select_questions(
     Args:
         questions: All questions of the store, in the order of the questions file.
         selection: The options of the selection.
-        image_root: The folder that has one folder of panoramas per sequence. None means that there are no panoramas.
+        image_root: The folder that has one folder of panoramas per sequence, or None without panoramas.
 
     Returns:
         The selected questions. If the selection has a seed, they are in the random order of this seed, otherwise in the

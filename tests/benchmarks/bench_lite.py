@@ -25,7 +25,7 @@ RUNS, AIM, DRAWS = 20, 0.9, 10
 
 
 def made(folder, size):
-    """A synthetic store with questions of the profile paper, and a measured run."""
+    """A synthetic store with questions of the profile paper."""
     list(write(plan(folder / "root", size, 7, "keyframes"), 2))
     store = Store(folder / "store")
     load(folder / "root", store)
